@@ -21,6 +21,7 @@ from flexman_gym.common.checks import (
     sequence,
     set_fields,
     short_path,
+    unknown_name,
     value_error,
     whole_number,
 )
@@ -265,7 +266,5 @@ def find_recipe(name: str) -> Settings:
     if name in RECIPES:
         return Settings.recipe(RECIPE_FOLDER / f"{name}.yaml")
     if not os.path.isfile(name):  # False for any text
-        raise FileNotFoundError(
-            f"recipe: {short_path(name)} is not allowed; give a file, or one of {', '.join(RECIPES)}"
-        )
+        raise unknown_name("recipe", name, RECIPES, "the path of a file")
     return Settings.recipe(name)

@@ -7,12 +7,11 @@ import pkgutil
 import re
 import sys
 from collections.abc import Callable
-from difflib import get_close_matches
 from pathlib import Path
 from textwrap import wrap
 
 from flexman_gym import __version__, commands
-from flexman_gym.common.checks import warn_caller
+from flexman_gym.common.checks import suggestion, warn_caller
 from flexman_gym.common.renamed import COMMANDS, OPTIMISED, OPTIONS, REMOVED_OPTIONS
 
 COMMAND_GROUPS = {  # group -> commands, in the order of the help
@@ -46,8 +45,8 @@ def main(arguments: list[str] | None = None) -> int:
         chosen.add_parser(each.name, description=_description(each.name))
     if not given or given[0] not in chosen.choices:
         if given and not given[0].startswith("-"):
-            near = get_close_matches(given[0], chosen.choices, 1, 0.0)[0]
-            parser.error(f"command: {given[0]!r} is not allowed; the nearest is {near}; flexman --help lists all")
+            near = suggestion(given[0], chosen.choices)
+            parser.error(f"command: {given[0]!r} is not allowed{near}; flexman --help lists all")
         parser.parse_args(given)
     command_parser = chosen.choices[given[0]]
     try:

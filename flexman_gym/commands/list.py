@@ -7,6 +7,7 @@ from itertools import takewhile
 from pathlib import Path
 
 from flexman_gym.commands import CommandLine
+from flexman_gym.common.checks import suggestion
 
 KINDS = ("environments", "conditions", "controllers", "policies", "sensors", "methods", "arms", "recipes", "examples")
 PACKAGE_FOLDER = Path(__file__).parents[1]
@@ -25,7 +26,8 @@ def _run(options: argparse.Namespace) -> int:
     """Print the names of each kind with a short description; return 0."""
     for what in options.what:
         if what not in KINDS:
-            options.parser.error(f"what: {what} is not allowed; give some of {', '.join(KINDS)}")
+            allowed = f"some of {', '.join(KINDS)}{suggestion(what, KINDS)}"
+            options.parser.error(f"what: {what} is not allowed; give {allowed}")
     for what in options.what or KINDS:
         entries = dict(_entries(what))
         print(f"{what}:")

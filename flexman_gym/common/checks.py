@@ -2,6 +2,7 @@
 
 import math
 import numbers
+import os
 import sys
 import warnings
 from collections.abc import Collection, Iterable, Iterator, Sequence
@@ -21,6 +22,8 @@ MAX_PATH_LENGTH = 160  # characters of a path in an error
 MAX_REASON = 300  # characters of the message of an error of other code
 MAX_VALUE_LENGTH = 80  # characters of a value in an error; no more entries of a list are formatted
 MAX_ENTRIES = 10**6  # entries of a list
+SIMILARITY = 0.6  # dimensionless; similarity of two names (difflib) above which an error suggests one for the other
+MIN_PREFIX = 3  # letters; shortest abbreviation of a name for which an error suggests the name
 MIN_SIMILARITY = 0.75  # dimensionless; similarity of two names (difflib) above which a name is probably a misspelling
 MAX_DIGITS = 18  # digits of a whole number within a name; larger numbers exceed 64 bits
 RATIO_TOLERANCE = 1e-9  # largest relative difference of a ratio of two times from a whole number
@@ -61,6 +64,61 @@ def error_text(error: BaseException) -> str:
     text = " ".join(str(error).split())[:MAX_REASON]
     known = text and isinstance(error, ValueError | OSError)
     return text if known else ": ".join(filter(None, (type(error).__name__, text)))
+
+
+class KeywordError(TypeError, ValueError):
+    """Unknown keyword argument: a TypeError, as of any function, and a ValueError, as for any value not allowed."""
+
+
+def keyword_error(name: str, value: object, allowed: str, keyword: str) -> KeywordError:
+    """Return a one-line error for an unknown keyword argument.
+
+    The message contains Python's words for it, by which programs that try optional keywords recognise them.
+
+    Args:
+        name: field, such as "Joint.kind".
+        value: value of the argument.
+        allowed: allowed values.
+        keyword: name of the argument.
+    """
+    words = f"unexpected keyword argument {keyword[:MAX_FIELD_LENGTH]!r}"
+    return KeywordError(f"{value_error(name, value, allowed)} ({words})")
+
+
+def nearest(name: object, names: Iterable[str]) -> str:
+    """Return the name for which another one is probably a misspelling or an abbreviation; "" if none is similar."""
+    if not isinstance(name, str) or len(name) > MAX_VALUE_LENGTH:
+        return ""
+    folded, typed = {each.casefold(): each for each in names}, name.casefold()
+    longer = [each for each in folded if len(typed) >= MIN_PREFIX and each.startswith(typed)]
+    similar = get_close_matches(typed, folded, 1, SIMILARITY) or longer
+    return folded[similar[0]] if similar else ""
+
+
+def suggestion(name: object, names: Iterable[str]) -> str:
+    """Return the end of an error message that suggests the nearest name; "" if none is similar."""
+    near = nearest(name, names)
+    return f"; the nearest is {near}" if near else ""
+
+
+def unknown_name(
+    field: str, name: str, names: Collection[str], file: str, others: Iterable[str] = ()
+) -> ValueError | FileNotFoundError:
+    """Return a one-line error for a text that is neither an allowed name nor a path that exists.
+
+    Args:
+        field: field, for the message.
+        name: the text.
+        names: allowed names.
+        file: description of the file or folder that is allowed instead.
+        others: further names that the message may suggest.
+
+    Returns:
+        A FileNotFoundError for a text with the separator or the suffix of a path, else a ValueError.
+    """
+    error = FileNotFoundError if "/" in name or os.sep in name or "." in name else ValueError
+    near = suggestion(name, (*names, *others))
+    return error(f"{field}: {short_path(name)} does not exist; give {file}, or one of {', '.join(names)}{near}")
 
 
 def _shortened(value: Any) -> Any:
@@ -166,7 +224,7 @@ def text(name: str, value: object) -> str:
 def one_of(name: str, value: object, allowed: Collection[str]) -> str:
     """Check that a value is one of the `allowed` strings, and return it."""
     if not isinstance(value, str) or value not in allowed:
-        raise value_error(name, value, "one of " + ", ".join(allowed))
+        raise value_error(name, value, "one of " + ", ".join(allowed) + suggestion(value, allowed))
     return value
 
 

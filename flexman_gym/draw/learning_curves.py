@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from flexman_gym.common.arrays import Array
-from flexman_gym.common.checks import short_path, value_error
+from flexman_gym.common.checks import short_path, suggestion, value_error
 from flexman_gym.common.plot_style import LIGHT, LINK_COLOURS, new_figure, save_figure
 from flexman_gym.common.time_series import read_csv_rows
 
@@ -37,7 +37,7 @@ def read_progress(folder: str | Path, column: str | None = None) -> tuple[Array,
     heads = [name for name in rows[0] if any(row.get(name) for row in rows)]
     name = column or next((each for each in REWARD_COLUMNS if each in heads), "")
     if name not in heads:
-        raise value_error("column", name, f"one of {', '.join(sorted(heads))}")
+        raise value_error("column", name, f"one of {', '.join(sorted(heads))}{suggestion(name, heads)}")
     try:
         points = [
             (float(row[STEPS_COLUMN]), float(row[name])) for row in rows if row.get(name) and row.get(STEPS_COLUMN)

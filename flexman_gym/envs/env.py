@@ -13,11 +13,12 @@ from gymnasium.envs.registration import EnvSpec
 from numpy.typing import NDArray
 
 from flexman_gym.common.arrays import Vector
-from flexman_gym.common.checks import whole_number
+from flexman_gym.common.checks import one_of, whole_number
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.envs.config.reset_options import check_parameters
 from flexman_gym.envs.episodes import Episodes, validate_actions
+from flexman_gym.envs.infos import INFO_MODES, flat_info
 from flexman_gym.envs.rendering import RENDER_KEYWORDS, RENDER_MODES, make_renderer
 from flexman_gym.envs.stateful import StatefulEnv
 from flexman_gym.kernels import layout
@@ -25,6 +26,7 @@ from flexman_gym.simulation.simulator import Simulator
 
 Observation = NDArray[np.float32]
 SINGLE_ARM = np.zeros(1, dtype=np.int64)  # index of the only arm
+OWN_KEYWORDS = ("infos", *RENDER_KEYWORDS)
 MAX_SEED = 2**128 - 1  # largest seed of a reset
 
 
@@ -48,8 +50,8 @@ class FlexManEnv(StatefulEnv, gym.Env[Observation, Observation]):
 
     Actions
         Box(-1, 1, (n,)): torques of the n motors as fractions of their limits (400 N m each), constant during a control
-        period of 20 ms. An action outside the box raises ValueError; values beyond its bounds by less than 1e-6, the
-        rounding of float32, are clipped.
+        period of 20 ms. An action outside the box raises ValueError, or is clipped with clip_actions=True; values
+        beyond its bounds by less than 1e-6, the rounding of float32, are always clipped.
 
     Observations
         Box (36,) float32; `slices`, `units` and `bound` of `env.unwrapped.sensors` hold the columns of this table:
@@ -109,6 +111,8 @@ class FlexManEnv(StatefulEnv, gym.Env[Observation, Observation]):
         In release 0.2.0 the method was "midpoint_3", with the same steps; `method="midpoint_3"` restores it.
 
     Args:
+        infos: "always"; "flat" for an info of numbers and arrays only (see `flat_info`); "at end" for one only at the
+            end of an episode; or "none". The info is {} otherwise.
         render_mode: None, "rgb_array", or "human", which shows every step in real time on a local web page whose
             address is printed on stderr.
         render_size: width and height of a frame, pixels.
@@ -136,6 +140,7 @@ class FlexManEnv(StatefulEnv, gym.Env[Observation, Observation]):
     def __init__(
         self,
         *,
+        infos: str = "always",
         render_mode: str | None = None,
         render_size: tuple[int, int] = (480, 360),
         render_camera: Vector | None = None,
@@ -144,8 +149,9 @@ class FlexManEnv(StatefulEnv, gym.Env[Observation, Observation]):
         **settings: Any,
     ) -> None:
         self.render_mode, look = render_mode, (render_size, render_camera, render_gain, render_overlays)
-        self._arguments = dict(zip(RENDER_KEYWORDS, (render_mode, *look), strict=True)) | settings
-        configuration = Configuration.from_keywords(settings, RENDER_KEYWORDS)
+        self._info_mode = one_of("infos", infos, INFO_MODES)
+        self._arguments = dict(zip(OWN_KEYWORDS, (infos, render_mode, *look), strict=True)) | settings
+        configuration = Configuration.from_keywords(settings, OWN_KEYWORDS)
         model, method, step, self.choice = resolve_fidelity(configuration)
         self.simulator = Simulator(model, method, step, configuration.control_period)
         self.configuration, self.task = configuration, configuration.task
@@ -204,7 +210,8 @@ class FlexManEnv(StatefulEnv, gym.Env[Observation, Observation]):
             Observation, reward, terminated, truncated and info.
 
         Raises:
-            ValueError: for an action of the wrong shape or outside the action space.
+            ValueError: for an action of the wrong shape, with NaN or infinite values, or, without clip_actions,
+                outside the action space.
             RuntimeError: before the first reset, and after the end of an episode.
         """
         episodes = self.episodes
@@ -212,7 +219,8 @@ class FlexManEnv(StatefulEnv, gym.Env[Observation, Observation]):
             raise RuntimeError("the episode is over: reset the environment first")
         reward = episodes.step_single(action)
         if reward is None:
-            values = validate_actions("action", action, self._action_shape, self._allowed_actions)
+            clip = self.configuration.clip_actions
+            values = validate_actions("action", action, self._action_shape, self._allowed_actions, clip)
             reward = episodes.step(values[None]).item()
         info = self._info()
         self._show()
@@ -241,8 +249,10 @@ class FlexManEnv(StatefulEnv, gym.Env[Observation, Observation]):
             self._rendering.close()
 
     def _info(self) -> dict[str, Any]:
-        """Return the info of the current state."""
-        episodes = self.episodes
+        """Return the info of the current state in the form of `infos`."""
+        episodes, mode = self.episodes, self._info_mode
+        if mode == "none" or (mode == "at end" and not episodes.over[0]):
+            return {}
         view, info = episodes.current_view, episodes.info()
         info["status"] = layout.STATUS[episodes.batch.status[0]]
         info["failure"], info["method"] = episodes.failures.get(0, ""), episodes.batch.method.name
@@ -251,4 +261,4 @@ class FlexManEnv(StatefulEnv, gym.Env[Observation, Observation]):
             info["drawn"] = episodes.effects.drawn_for(0)
         if estimates := getattr(episodes.base, "estimates", None):
             info["estimates"] = {name: values[0].copy() for name, values in estimates.items()}
-        return info
+        return flat_info(info) if mode == "flat" else info

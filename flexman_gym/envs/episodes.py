@@ -37,11 +37,19 @@ MAX_DRAWS = 1000  # draws of a task for an episode whose start and goal are in t
 ROUNDING = 1e-6  # largest rounding error of float32 actions near 1
 
 
-def validate_actions(name: str, value: object, shape: tuple[int, ...], allowed: str) -> Array:
+def validate_actions(name: str, value: object, shape: tuple[int, ...], allowed: str, clip: bool) -> Array:
     """Return actions as a new array of float64, after a check of their shape and of the range -1 to 1.
 
-    Values beyond the range by less than 1e-6, the rounding of float32, are clipped. The error message contains the name
-    of the argument and the allowed values.
+    Args:
+        name: name of the argument, for the error message.
+        value: the actions.
+        shape: required shape.
+        allowed: allowed values, for the error message.
+        clip: True to clip finite values beyond the range. If it is False, only values beyond the range by less than
+            1e-6, the rounding of float32, are clipped.
+
+    Raises:
+        ValueError: for any other value.
     """
     if isinstance(value, np.ndarray) and value.shape == shape and value.dtype.kind == "f":
         actions = value.astype(np.float64, order="C")
@@ -49,9 +57,11 @@ def validate_actions(name: str, value: object, shape: tuple[int, ...], allowed: 
         actions = number_array(name, value, shape, allowed).astype(np.float64, order="C")
     if kernels.all_within(actions.ravel(), 1.0):
         return actions
-    if np.count_nonzero(np.abs(actions) < 1.0 + ROUNDING) == actions.size:
+    if not np.isfinite(actions).all():
+        raise value_error(name, value, allowed)
+    if clip or np.abs(actions).max() < 1.0 + ROUNDING:
         return np.clip(actions, -1.0, 1.0)
-    raise value_error(name, value, allowed)
+    raise value_error(name, value, f"{allowed}, or gym.make(..., clip_actions=True), which clips actions")
 
 
 class Episodes:

@@ -22,43 +22,13 @@ from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.envs.config.reset_options import check_parameters
 from flexman_gym.envs.env import MAX_SEED, FlexManEnv
 from flexman_gym.envs.episodes import Episodes, validate_actions
+from flexman_gym.envs.infos import INFO_MODES, Infos, batched_info, flat_info, masked, with_masks
 from flexman_gym.envs.rendering import RENDER_KEYWORDS, make_renderer
 from flexman_gym.envs.stateful import Observations, StatefulEnv
 from flexman_gym.kernels import CACHE_FOLDER, layout
 from flexman_gym.simulation.batch import MAX_ARMS, Batch
 
-Infos = dict[str, Any]
-
-
-def _batched(info: Infos) -> Infos:
-    """Return the info of a single arm with a leading axis of length 1 on every number and array."""
-    return {key: _batched(value) if isinstance(value, dict) else np.array([value]) for key, value in info.items()}
-
-
-def _with_masks(infos: Infos, mask: BoolArray) -> Infos:
-    """Return the infos with a mask under "_KEY" for each key, also in nested dicts."""
-    result = {}
-    for key, value in infos.items():
-        result[key] = _with_masks(value, mask) if isinstance(value, dict) else value
-        result[f"_{key}"] = mask
-    return result
-
-
-def _masked(infos: Infos, mask: BoolArray) -> Infos:
-    """Return infos in which the arms outside a mask (b,) have zeros (None for objects)."""
-    result: Infos = {}
-    for key, value in infos.items():
-        if isinstance(value, dict):
-            result[key] = _masked(value, mask)
-        elif not key.startswith("_"):
-            result[key] = np.zeros_like(value) if value.dtype != object else np.full_like(value, None)
-            result[key][mask] = value[mask]
-        result[key if key.startswith("_") else f"_{key}"] = mask.copy()
-    return result
-
-
 MAX_STEPS = 10**9  # largest max_episode_steps
-INFO_MODES = ("always", "at end")  # values of the argument infos
 MAX_SEED_STRIDE = 10**12  # largest seed_stride
 OWN_KEYWORDS = ("num_envs", "threads", "max_episode_steps", "autoreset_mode", "infos", "seed_stride", *RENDER_KEYWORDS)
 INDEXED_ATTRIBUTES = ("render", "np_random", "np_random_seed")  # members with an entry for each arm
@@ -82,9 +52,9 @@ class FlexManVectorEnv(StatefulEnv, VectorEnv[Observations, Array, Any]):
         threads: number of threads, at most one per 32 arms; a second thread is faster only on an idle core.
         max_episode_steps: steps after which an episode is truncated; None for the `horizon`.
         autoreset_mode: an AutoresetMode of Gymnasium, or its value.
-        infos: "always"; or "at end" for infos only of arms whose episode has just ended (with autoreset_mode="SameStep"
-            as `final_obs` and `final_info`). All other infos, including those of a reset, are then empty, which saves
-            time.
+        infos: "always"; "flat" for `flat_info`, without nested dicts and texts; "at end" for infos only of arms whose
+            episode has just ended, while all other infos, including those of a reset, are empty, which saves time; or
+            "none". With autoreset_mode="SameStep" `final_obs` and `final_info` are those of the ended episodes.
         seed_stride: factor on a single seed, see above.
         render_mode: None or "rgb_array"; `render` returns one frame per arm, which `draw.grid` combines.
         render_size: see `FlexManEnv`.
@@ -117,7 +87,7 @@ class FlexManVectorEnv(StatefulEnv, VectorEnv[Observations, Array, Any]):
         chosen = autoreset_mode.value if isinstance(autoreset_mode, AutoresetMode) else autoreset_mode
         self.autoreset_mode = modes[one_of("autoreset_mode", chosen, modes)]
         self.num_envs = whole_number("num_envs", num_envs, 1, MAX_ARMS)
-        self._infos_at_end = one_of("infos", infos, INFO_MODES) == "at end"
+        self._info_mode = one_of("infos", infos, INFO_MODES)
         self._seed_stride = whole_number("seed_stride", seed_stride, 1, MAX_SEED_STRIDE)
         self.render_mode, rendering = render_mode, (render_size, render_camera, render_gain, render_overlays)
         given = num_envs, threads, max_episode_steps, autoreset_mode, infos, seed_stride, render_mode, *rendering
@@ -176,8 +146,8 @@ class FlexManVectorEnv(StatefulEnv, VectorEnv[Observations, Array, Any]):
                 if seeds[arm] is not None:
                     self._randoms[arm], self._seeds[arm] = seeding.np_random(seeds[arm])
             self._restart(arms, options)
-        infos = {} if self._infos_at_end else self._infos()
-        return self.episodes.agent.observations.copy(), infos if mask is None else _masked(infos, mask)
+        infos = {} if self._info_mode == "at end" else self._infos()
+        return self.episodes.agent.observations.copy(), infos if mask is None else masked(infos, mask)
 
     def step(self, actions: NDArray[Any]) -> tuple[Observations, Array, BoolArray, BoolArray, Infos]:
         """Apply actions for `action_repeat` control periods, and reset according to the autoreset mode.
@@ -189,11 +159,13 @@ class FlexManVectorEnv(StatefulEnv, VectorEnv[Observations, Array, Any]):
             Observations (num_envs, size), rewards, terminations and truncations (num_envs,), and infos.
 
         Raises:
-            ValueError: for actions of the wrong shape or outside the action space.
+            ValueError: for actions of the wrong shape, with NaN or infinite values, or, without clip_actions, outside
+                the action space.
             RuntimeError: before the first reset; with autoreset_mode="Disabled" also if the episode of an arm is over.
         """
         episodes, over = self.episodes, self.episodes.over
-        values = validate_actions("actions", actions, self._action_shape, self._allowed_actions)
+        clip = self.configuration.clip_actions
+        values = validate_actions("actions", actions, self._action_shape, self._allowed_actions, clip)
         finished = np.flatnonzero(over) if np.count_nonzero(over) else None
         if finished is not None and (self.autoreset_mode != AutoresetMode.NEXT_STEP or None in self._randoms):
             raise RuntimeError(f"the episodes of arms {finished.tolist()} are over: reset them first")
@@ -201,7 +173,7 @@ class FlexManVectorEnv(StatefulEnv, VectorEnv[Observations, Array, Any]):
         if finished is not None:
             self._restart(finished, None)
         any_ended = bool(episodes.failures) or bool(np.count_nonzero(episodes.truncated))
-        infos = self._infos() if any_ended or not self._infos_at_end else {}
+        infos = self._infos() if any_ended or self._info_mode != "at end" else {}
         if finished is not None:
             rewards[finished] = 0.0
         truncations = episodes.truncated.copy()
@@ -210,8 +182,8 @@ class FlexManVectorEnv(StatefulEnv, VectorEnv[Observations, Array, Any]):
             terminations[list(episodes.failures)] = True
             if self.autoreset_mode == AutoresetMode.SAME_STEP:
                 infos = self._reset_ended(over.copy(), infos)
-            elif self._infos_at_end:
-                infos = _masked(infos, terminations | truncations)
+            elif self._info_mode == "at end":
+                infos = masked(infos, terminations | truncations)
         return episodes.agent.observations.copy(), rewards, terminations, truncations, infos
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
@@ -257,17 +229,19 @@ class FlexManVectorEnv(StatefulEnv, VectorEnv[Observations, Array, Any]):
         for arm in arms:
             final[arm] = self.episodes.agent.observations[arm].copy()
         self._restart(arms, None)
-        combined = _masked({"final_obs": final, "final_info": _masked(infos, ended)}, ended)
-        return combined if self._infos_at_end else combined | self._infos()
+        combined = masked({"final_obs": final, "final_info": masked(infos, ended)}, ended)
+        return combined if self._info_mode == "at end" else combined | self._infos()
 
     def _restart(self, arms: IntArray, options: dict[str, Any] | None) -> None:
         randoms = self.np_random
         self.episodes.reset(arms, [randoms[arm] for arm in arms], options)
 
     def _infos(self) -> Infos:
-        """Return the infos of the current states."""
+        """Return the infos of the current states; {} for the mode "none"."""
+        if self._info_mode == "none":
+            return {}
         episodes, view = self.episodes, self.episodes.view
-        infos = _batched(episodes.info()) if self.num_envs == 1 else episodes.info()
+        infos = batched_info(episodes.info()) if self.num_envs == 1 else episodes.info()
         status, failure = self._status_ok.copy(), self._no_failure.copy()
         for arm, text in episodes.failures.items():
             status[arm], failure[arm] = layout.STATUS[self.batch.status[arm]], text
@@ -279,7 +253,7 @@ class FlexManVectorEnv(StatefulEnv, VectorEnv[Observations, Array, Any]):
             infos["drawn"] = episodes.effects.drawn
         if estimates := getattr(episodes.base, "estimates", None):
             infos["estimates"] = {name: values.copy() for name, values in estimates.items()}
-        return _with_masks(infos, self._all_arms.copy())
+        return with_masks(flat_info(infos) if self._info_mode == "flat" else infos, self._all_arms.copy())
 
     @property  # type: ignore[misc]
     def np_random(self) -> tuple[np.random.Generator, ...]:  # type: ignore[override]

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexman_gym.common.arrays import Array, BoolArray, IntArray
-from flexman_gym.common.checks import short_path, value_error
+from flexman_gym.common.checks import short_path, unknown_name, value_error
 from flexman_gym.common.files import existing_file, reading
 from flexman_gym.common.renamed import RUN_SETTINGS, complete_environment, rename_keys
 from flexman_gym.common.run_folder import BEST, NEWEST, NO_SETTINGS, SETTINGS, read_npz, read_settings
@@ -142,7 +142,8 @@ def find_agent(agent: object) -> AgentSpec:
             object with a method `predict`, see `AgentSpec.from_predictor`.
 
     Raises:
-        FileNotFoundError: for an unknown name or folder.
+        ValueError: for an unknown name.
+        FileNotFoundError: for a folder that does not exist.
     """
     if isinstance(agent, AgentSpec):
         return agent
@@ -168,10 +169,9 @@ def find_agent(agent: object) -> AgentSpec:
 
 
 def training_folder(name: str) -> Path:
-    """Return the folder of a training run; raise FileNotFoundError with the allowed agents if it does not exist."""
+    """Return the folder of a training run; raise an error with the names of agents if it does not exist."""
     if not os.path.isdir(name):  # unlike Path.is_dir it accepts any string
-        allowed = f"the folder of a training run, or one of {', '.join(AGENTS)}"
-        raise FileNotFoundError(f"agent: {short_path(name)} is not allowed; give {allowed}")
+        raise unknown_name("agent", name, AGENTS, "the folder of a training run")
     return Path(name)
 
 
@@ -230,7 +230,7 @@ def split_interface(environment: Configuration) -> tuple[Configuration, dict[str
 
 
 class _Clock:
-    """CPU time of an agent: of its actions, with its policy function and its estimates, and of starts of episodes, s."""
+    """CPU time of an agent: of its actions with its policy function, and of the starts of its episodes, s."""
 
     def __init__(self) -> None:
         self.action_seconds = self.start_seconds = 0.0

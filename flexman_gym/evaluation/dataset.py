@@ -38,7 +38,7 @@ def record_dataset(
 
     Raises:
         ImportError: without Minari.
-        FileNotFoundError: for an unknown agent or environment.
+        ValueError, FileNotFoundError: for an unknown agent or environment.
         ValueError: for arguments that are not allowed, such as the name of an existing dataset.
     """
     minari = optional_module("minari", "the export of datasets", "scale")

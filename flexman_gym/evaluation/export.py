@@ -136,7 +136,7 @@ def write_onnx(agent: str, path: Path) -> float:
 
     Raises:
         ImportError: without the extra [onnx].
-        FileNotFoundError: for an unknown agent.
+        ValueError, FileNotFoundError: for an unknown agent.
         ValueError: for an agent without a network, for a policy with a base controller, and for a graph whose actions
             differ from the actions of the policy.
     """

@@ -162,7 +162,7 @@ def evaluate(
         square "change" of the torques.
 
     Raises:
-        FileNotFoundError: for an unknown agent or environment.
+        ValueError, FileNotFoundError: for an unknown agent or environment.
 
     Examples:
         >>> result = fm.evaluate("lqr", "FlexOne-v0", seeds=range(2))

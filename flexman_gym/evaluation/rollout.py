@@ -215,8 +215,8 @@ def rollout(
         (b, T, n) N m, actions (b, T, n) as fractions of the torque limits, the control period (s), and more.
 
     Raises:
-        FileNotFoundError: for an unknown agent or environment.
-        ValueError: for more than MAX_RECORDED control periods of all episodes.
+        ValueError, FileNotFoundError: for an unknown agent or environment, and a ValueError for more than
+            MAX_RECORDED control periods of all episodes.
 
     Examples:
         >>> result = fm.rollout("pd", "FlexOne-v0", seeds=range(2))
@@ -295,9 +295,9 @@ class RolloutLoop:
         law, observations = self.law, self.episodes.agent.observations
         outputs = np.zeros(self._size) if law is None else law(observations.copy())
         commands = np.asarray(outputs, dtype=np.float32)
-        self.episodes.step(
-            validate_actions("actions", commands, self._size, "a number from -1 to 1 for each motor of each arm")
-        )
+        clip = self._venv.unwrapped.configuration.clip_actions
+        allowed = "a number from -1 to 1 for each motor of each arm"
+        self.episodes.step(validate_actions("actions", commands, self._size, allowed, clip))
 
     def result(self) -> Rollout:
         """Return the records of the simulated control periods, of which there must be at least one."""

@@ -4,7 +4,6 @@ import re
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
@@ -20,6 +19,7 @@ from flexman_gym.common.checks import (
     positive,
     sequence,
     set_fields,
+    suggestion,
     text,
     value_error,
     vector,
@@ -398,10 +398,8 @@ class SimulatedResponse:
                 result[:, c] = accelerations[:, :, TIP_ACCELERATIONS[name]]
             else:
                 if name not in columns:
-                    near = ", ".join(get_close_matches(name, [*columns, *TIP_ACCELERATIONS], 3, 0.0))
-                    raise value_error(
-                        "Measurement.outputs", name, f"a name in Trajectory.columns; the nearest are {near}"
-                    )
+                    near = suggestion(name, [*columns, *TIP_ACCELERATIONS])
+                    raise value_error("Measurement.outputs", name, f"a name in Trajectory.columns{near}")
                 result[good, c] = columns[name].reshape(len(complete), size)
             for each in self.measurement.filters.get(name, ()):
                 result[good, c] = each.applied(result[good, c], period)

@@ -180,7 +180,7 @@ def run_league(
         log: function of one line of text for each cell.
 
     Raises:
-        FileNotFoundError: for an unknown agent or environment.
+        ValueError, FileNotFoundError: for an unknown agent or environment.
         ValueError: for a run whose training used some of the seeds, before any simulation; and for an unknown scenario.
     """
     for agent in agents:

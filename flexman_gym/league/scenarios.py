@@ -201,7 +201,7 @@ def find_scenario(name: str) -> Scenario:
         name: name of the scenario.
 
     Raises:
-        FileNotFoundError: for an unknown environment.
+        ValueError, FileNotFoundError: for an unknown environment.
     """
     name, at, plant = name.partition("@")
     if at:

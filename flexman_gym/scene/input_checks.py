@@ -4,11 +4,10 @@ import math
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import fields, replace
-from difflib import get_close_matches
 from functools import wraps
 from typing import Any, TypeVar
 
-from flexman_gym.common.checks import value_error, warn_caller
+from flexman_gym.common.checks import keyword_error, suggestion, warn_caller
 
 T = TypeVar("T")
 
@@ -55,7 +54,7 @@ FOREIGN_KEYWORDS: dict[str, dict[str, str]] = {
 
 
 def check_keywords(cls: type[T]) -> type[T]:
-    """Decorate a dataclass so that unknown keywords of its constructor raise a one-line TypeError with advice.
+    """Decorate a dataclass so that unknown keywords of its constructor raise a one-line KeywordError with advice.
 
     The signature of the constructor is preserved.
     """
@@ -66,10 +65,9 @@ def check_keywords(cls: type[T]) -> type[T]:
     def constructor(self: Any, *values: Any, **named: Any) -> None:
         for name, value in named.items():
             if name not in known:
-                near, count = get_close_matches(name, known, NEAREST, 0.0), len(known)
-                nearest = f"{near[0]}, the nearest of {count} keywords; others: {', '.join(near[1:])}"
-                allowed = FOREIGN_KEYWORDS.get(cls.__name__, {}).get(name) or nearest
-                raise TypeError(str(value_error(f"{cls.__name__}.{name}", value, allowed)))
+                allowed = FOREIGN_KEYWORDS.get(cls.__name__, {}).get(name)
+                allowed = allowed or f"one of {', '.join(known)}{suggestion(name, known)}"
+                raise keyword_error(f"{cls.__name__}.{name}", value, allowed, name)
         construct(self, *values, **named)
 
     cls.__init__ = constructor  # type: ignore[method-assign]
@@ -93,7 +91,6 @@ USUAL_RANGES: dict[str, tuple[float, float, str, str]] = {
     "control_period": (0.0, 1.0, "s", "ms"),
     "horizon": (0.0, 300.0, "s", "steps; 500 steps of 0.02 s are 10 s"),
 }
-NEAREST = 6  # number of keywords in an error message
 
 
 def warn_unusual_units(owner: str, values: Mapping[str, Any]) -> None:

@@ -9,7 +9,17 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from flexman_gym.common import files
-from flexman_gym.common.checks import mapping, one_of, sequence, short_path, text, value_error, whole_number
+from flexman_gym.common.checks import (
+    KeywordError,
+    mapping,
+    one_of,
+    sequence,
+    short_path,
+    suggestion,
+    text,
+    value_error,
+    whole_number,
+)
 from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.input_checks import FOREIGN_KEYWORDS
 from flexman_gym.scene.joint import Joint, Motor
@@ -139,7 +149,8 @@ def _check_entries(kind: Any, path: str, data: object, *excluded: str) -> dict[s
     prefix = f"{path}." if path else ""
     for name, value in data.items():
         if name not in names:
-            allowed = FOREIGN_KEYWORDS.get(kind.__name__, {}).get(name) or "only the keys " + ", ".join(names)
+            allowed = FOREIGN_KEYWORDS.get(kind.__name__, {}).get(name)
+            allowed = allowed or f"only the keys {', '.join(names)}{suggestion(name, names)}"
             raise value_error(f"{prefix}{name}", value, allowed)
     for name in names:
         if name not in data and name not in _optional_keys(kind):
@@ -246,7 +257,7 @@ def named_arm(name: str) -> Callable[..., Arm]:
         try:
             arguments = call.bind(*positional, **named).arguments
         except TypeError as error:
-            raise TypeError(f"{name}() {error}; give {', '.join(options) or 'no arguments'}") from None
+            raise KeywordError(f"{name}() {error}; give {', '.join(options) or 'no arguments'}") from None
         changes: dict[str, dict[str, Any]] = {}
         for option, value in arguments.items():
             part, _, field = options[option].rpartition(".")

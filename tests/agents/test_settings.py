@@ -124,8 +124,10 @@ def test_a_bad_recipe_names_its_file_and_the_field(tmp_path):
     ):
         files.write_data(path, data)
         assert refusal(Settings.recipe, path).startswith(f"{path}: {line}")
-    with pytest.raises(FileNotFoundError, match=r"^recipe: nothing is not allowed; give a file, or one of "):
+    with pytest.raises(ValueError, match=r"^recipe: nothing does not exist; give the path of a file, or one of "):
         find_recipe("nothing")
+    with pytest.raises(ValueError, match=r"; the nearest is ppo_on_pd$"):
+        find_recipe("ppo_on_p")
 
 
 @pytest.mark.parametrize("text", ["", "3", "{}", "[1]", '{"algo": "ppo"}', "[" * 10_000])

@@ -213,7 +213,7 @@ def test_a_refused_training_leaves_no_folder(tmp_path):
 
 def test_missing_and_broken_runs_give_one_line(trained, tmp_path):
     with pytest.raises(
-        FileNotFoundError, match="is not allowed; give the folder of a training run, or one of pd, pd-torque"
+        FileNotFoundError, match="does not exist; give the folder of a training run, or one of pd, pd-torque"
     ):
         find_agent(str(tmp_path / "nothing"))
     with pytest.raises(FileNotFoundError, match=f"{SETTINGS}: no such file; give a folder"):

@@ -87,7 +87,7 @@ def test_old_commands_reach_the_present_ones_with_a_warning(capsys):
         main(["tune", "FlexPlanar-v9"])
     with pytest.warns(DeprecationWarning, match="is flexman optimise slews ENVIRONMENT now"):
         assert main(["optimise", "FlexPlanar-v9", "--out", "slews.npz"]) == 2
-    assert capsys.readouterr().err.count("FlexPlanar-v9: there is no such file") == 2
+    assert capsys.readouterr().err.count("environment: FlexPlanar-v9 does not exist; give the path of a file, or one of") == 2
     for kind in OPTIMISED:
         with pytest.raises(SystemExit) as stop:
             main(["optimise", kind, "--help"])
@@ -362,7 +362,7 @@ def test_where_nothing_is_left_nothing_has_to_help(capsys):
 
 def test_it_takes_what_evaluate_takes(capsys):
     assert main(["why", "nobody", *GIVEN]) == 2
-    assert capsys.readouterr().err.startswith("agent: nobody is not allowed; give the folder of a training run")
+    assert capsys.readouterr().err.startswith("agent: nobody does not exist; give the folder of a training run")
 
 
 def test_one_quiet_episode_does_not_hide_one_that_rings(monkeypatch, capsys):

@@ -117,8 +117,8 @@ SETTINGS = {
     "fidelity": "default", "actions": {"kind": "torque"}, "drive_bandwidth": 30.0, "reward": {"effort": 2.0},
     "tolerance": None, "elements": 1, "modes": 2, "method": "implicit_midpoint", "step": 0.01, "stiffening": True,
     "spinning_rotors": True, "rotary_inertia": False, "energy_alarm": 0.2, "randomisation": {"delay": (0, 2)},
-    "render_mode": None, "render_size": (64, 48), "render_camera": (10.0, 20.0), "render_gain": 2.0,
-    "render_overlays": False,
+    "clip_actions": True, "render_mode": None, "render_size": (64, 48), "render_camera": (10.0, 20.0),
+    "render_gain": 2.0, "render_overlays": False,
 }  # fmt: skip
 
 

@@ -210,8 +210,8 @@ def test_a_policy_refuses_what_it_was_not_trained_for(run):
 
 
 def test_what_acts_nowhere_is_refused_in_one_line(tmp_path):
-    for nobody in ("nobody", PD):
-        with pytest.raises(FileNotFoundError, match=r"^agent: .* is not allowed; give the folder of a training"):
+    for nobody, kind in (("nobody", ValueError), (PD, FileNotFoundError), ("runs/nobody", FileNotFoundError)):
+        with pytest.raises(kind, match=r"^agent: .* does not exist; give the folder of a training"):
             find_agent(nobody)
     with pytest.raises(FileNotFoundError, match="no such file"):
         find_agent(str(tmp_path))

@@ -300,7 +300,7 @@ def test_an_interrupted_start_closes_the_page(monkeypatch):
 def test_a_notebook_shows_the_page_and_an_unknown_agent_is_refused(open_live):
     session = open_live("FlexOne-v0", ["zero", "random"])
     assert f'<iframe src="{session.url}"' in session._repr_html_()
-    with pytest.raises(FileNotFoundError, match="nobody is not allowed"):
+    with pytest.raises(ValueError, match="nobody does not exist"):
         fm.live("FlexOne-v0", "nobody")
     for wrong, words in (({"agents": []}, "agents: "), ({"port": 70000}, "port: 70000"), ({"seed": -1}, "seed: -1"),
                          ({"gravity": 0}, "gravity: ")):  # fmt: skip

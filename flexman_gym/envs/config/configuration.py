@@ -2,12 +2,23 @@
 
 import os
 from collections.abc import Collection, Mapping, Sequence
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, NoReturn, Self
 
 from flexman_gym.common import files
-from flexman_gym.common.checks import mapping, one_of, positive, sequence, short_path, text, value_error, vector
+from flexman_gym.common.checks import (
+    keyword_error,
+    mapping,
+    nearest,
+    one_of,
+    positive,
+    sequence,
+    short_path,
+    text,
+    unknown_name,
+    value_error,
+    vector,
+)
 from flexman_gym.common.markdown import text_fields
 from flexman_gym.common.renamed import current_methods, deprecated_names, rename_keys
 from flexman_gym.control.margins import first_order_lag
@@ -17,6 +28,7 @@ from flexman_gym.envs.config.named_environments import (
     NAMED_ENVIRONMENTS,
     NOMINAL,
     Gains,
+    condition_names,
     condition_settings,
 )
 from flexman_gym.envs.config.randomisation import Randomisation
@@ -137,7 +149,7 @@ class Configuration(EnvironmentSettings):
         if original is not None and not isinstance(original, Configuration):
             raise value_error("configuration", original, "a Configuration")
         id = one_of("name", given.pop("name", original.id if original else DEFAULT_ID), NAMED_ENVIRONMENTS)
-        _refuse_unknown(given, ("condition", *others))
+        _refuse_unknown(given, others)
         if original is None:
             return cls(id, given)
         if original.id != id:
@@ -183,7 +195,8 @@ class Configuration(EnvironmentSettings):
             changes: changes "name=value" of settings, see `changed`.
 
         Raises:
-            FileNotFoundError: if the name is neither an id nor the path of a file.
+            ValueError: for a name that is not an id.
+            FileNotFoundError: for a path without a file.
         """
         if isinstance(name, Configuration):
             return name.changed(changes) if changes else name
@@ -192,8 +205,8 @@ class Configuration(EnvironmentSettings):
             settings = condition_settings(id, condition) if slash else {}
             return cls._from_changes({"id": id, **settings}, changes)
         if not os.path.exists(name):  # unlike Path.exists it accepts any string
-            allowed = f"one, or one of {', '.join(sorted(NAMED_ENVIRONMENTS))}"
-            raise FileNotFoundError(f"{short_path(name)}: there is no such file; give {allowed}")
+            near = [f"{each}/{own}" for each in NAMED_ENVIRONMENTS for own in condition_names(each)] if slash else ()
+            raise unknown_name("environment", name, sorted(NAMED_ENVIRONMENTS), "the path of a file", near)
         return cls.load(name, changes)
 
     @property
@@ -207,6 +220,7 @@ class Configuration(EnvironmentSettings):
 
     def replace(self, **changes: Any) -> "Configuration":
         """Return a configuration with changed settings; without changes the same object."""
+        _refuse_unknown(changes, ())
         return type(self)(self.id, {**self._given, **changes}) if changes else self
 
     def without(self, names: Collection[str]) -> "Configuration":
@@ -361,15 +375,20 @@ def _current_settings(data: object, warn: bool) -> dict[str, Any]:
     return result
 
 
-def _refuse_unknown(settings: Mapping[str, Any], others: Collection[str] = ()) -> None:
-    """Raise ValueError for an unknown setting, with the name of that setting in this library, or the nearest name."""
-    known = {*SETTINGS, *RENAMED, "condition", *others}
+def _refuse_unknown(settings: Mapping[str, Any], others: Collection[str] | None = None) -> None:
+    """Raise an error for an unknown setting, with the name of that setting in this library, or a similar name.
+
+    Args:
+        settings: names and values.
+        others: further keyword arguments, if the settings are keyword arguments; the error is then a KeywordError.
+    """
+    known = {*SETTINGS, *RENAMED, "condition", *(others or ())}
     for name, value in settings.items():
         if name not in known:
-            nearest = get_close_matches(name, sorted(known), 1, 0.0)[0]
-            nearest = RENAMED.get(nearest, nearest)
-            allowed = f"a setting: the nearest is {nearest}; all: {' '.join(sorted(SETTINGS))}"
-            raise value_error(name, value, HINTS.get(name, allowed))
+            near = nearest(name, sorted(known))
+            near = f"the nearest is {RENAMED.get(near, near)}; all: " if near else ""
+            allowed = HINTS.get(name, f"a setting: {near}{' '.join(sorted(SETTINGS))}")
+            raise value_error(name, value, allowed) if others is None else keyword_error(name, value, allowed, name)
 
 
 def _is_plain(value: object) -> bool:

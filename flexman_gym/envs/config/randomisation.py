@@ -1,9 +1,8 @@
 """Randomisation: ranges of physical parameters and disturbances, from which each episode is drawn."""
 
-from difflib import get_close_matches
 from typing import Any
 
-from flexman_gym.common.checks import non_negative, positive, value_error, vector
+from flexman_gym.common.checks import keyword_error, non_negative, positive, suggestion, value_error, vector
 from flexman_gym.envs.effects import SIGNALS, Range
 from flexman_gym.simulation.parameters import PARAMETERS
 
@@ -49,10 +48,11 @@ class Randomisation:
         self.impulse_gap = (
             DEFAULT_IMPULSE_GAP if impulse_gap is None else positive("Randomisation.impulse_gap", impulse_gap, "s")
         )
+        known = (*_range_names(), "impulse_gap")
         for name in ranges:
-            if name not in (_range_names() | {"impulse_gap": ""}):
-                similar = ", ".join(get_close_matches(str(name), [*_range_names(), "impulse_gap"], 3, 0.0))
-                raise value_error("randomisation", name, f"a range of help(fm.Randomisation), such as {similar}")
+            if name not in known:
+                allowed = f"a range of help(fm.Randomisation){suggestion(name, known)}"
+                raise keyword_error("randomisation", name, allowed, name)
         self.given = ranges if impulse_gap is None else {**ranges, "impulse_gap": self.impulse_gap}
         given = {name: effect for name, effect in _range_names().items() if ranges.get(name) is not None}
         self.ranges = {effect: _range(name, ranges[name]) for name, effect in given.items()}

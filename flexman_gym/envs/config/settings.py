@@ -207,6 +207,11 @@ class EnvironmentSettings:
         "below an agent at 50 Hz.",
         _actions_setting, named=True,
     )
+    clip_actions: bool = _setting(
+        "True to clip actions beyond the range from -1 to 1; False to refuse them with an error. NaN and infinite "
+        "actions are always refused.",
+        partial(flag, "clip_actions"), False, foreign={"clip_action": "clip_actions"},
+    )
     drive_bandwidth: float | None = _setting(
         "Bandwidth of the drives, a first-order lag between commanded and applied torque. None for no lag.",
         lambda value: None if value is None else physical("drive_bandwidth", value, "Hz"), unit="Hz",
@@ -215,7 +220,8 @@ class EnvironmentSettings:
         "Number of control periods for which an action of the agent is held. A step of the environment simulates them, "
         "returns the mean of their rewards and the info of the last one, and stops early if the episode ends.",
         partial(whole_number, "action_repeat", low=1, high=MAX_REPEATS), 1, deprecated=("hold",),
-        foreign={"frame_skip": "action_repeat, the number of control periods for which an action is held"},
+        foreign=dict.fromkeys(("frame_skip", "frameskip"), "action_repeat, the number of control periods for which an "
+        "action is held"),
     )
     safety: bool = _setting(
         "True to change the torques of the agent, as little as possible, so that the arm can always be stopped within "
