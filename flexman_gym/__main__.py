@@ -3,8 +3,10 @@
 import argparse
 import ast
 import importlib
+import os
 import pkgutil
 import re
+import signal
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -23,9 +25,25 @@ COMMAND_GROUPS = {  # group -> commands, in the order of the help
     "data": ("record", "replay", "export"),
 }
 COLUMNS, INDENT = 80, 15  # characters; width of the help, and start of the summaries of the commands
+CLOSED_PIPE = 128 + signal.SIGPIPE  # exit status, that of a program ended by this signal
 
 
 def main(arguments: list[str] | None = None) -> int:
+    """Run a command and return the exit status, 141 if the reader of its output, such as `head`, has gone."""
+    try:
+        try:
+            return _run(arguments)
+        except SystemExit:  # of a parser, such as after a help
+            sys.stdout.flush()
+            raise
+    except BrokenPipeError:
+        nowhere = os.open(os.devnull, os.O_WRONLY)  # for what is flushed when the program ends
+        for stream in (sys.stdout, sys.stderr):
+            os.dup2(nowhere, stream.fileno())
+        return CLOSED_PIPE
+
+
+def _run(arguments: list[str] | None) -> int:
     """Run a command and return the exit status."""
     given = _present_options(sys.argv[1:], _print_line) if arguments is None else _present_options(arguments, _warn)
     about = "Simulate, train and test controllers of flexible robot arms."
@@ -53,7 +71,9 @@ def main(arguments: list[str] | None = None) -> int:
         _refuse_removed_options(given[0], given[1:])
         command = importlib.import_module(f"flexman_gym.commands.{given[0]}").COMMAND
         command.arguments(command_parser)
-        return int(command.run(parser.parse_args(given, argparse.Namespace(parser=command_parser))))
+        status = int(command.run(parser.parse_args(given, argparse.Namespace(parser=command_parser))))
+        sys.stdout.flush()
+        return status
     except ImportError as error:
         text = str(error)
         if error.name == "matplotlib":
@@ -64,6 +84,8 @@ def main(arguments: list[str] | None = None) -> int:
             text = re.sub(r"flexman_gym\[\w+\]", "flexman_gym[train,render]", text)
         print(text, file=sys.stderr)
     except (ValueError, OSError) as error:  # invalid input; one line
+        if isinstance(error, BrokenPipeError):
+            print(flush=True)  # raises again if the pipe is that of the output
         print(error, file=sys.stderr)
     return 2
 

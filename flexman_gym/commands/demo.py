@@ -55,10 +55,10 @@ def _simulate_cases() -> dict[str, fm.Trajectory]:
     print(f"   {'case':<33}{'status':<10}{'computing':>10}{'largest energy residual':>26}")
     trajectories = {}
     for case, name in CASES.items():
-        print(f"   {name:<33}", end="", flush=True)
         trajectory = fm.simulate(fm.catalog.paper_scene(case), method=METHOD, rtol=RTOL)
         residual = np.abs(trajectory.energy_residual).max()
-        print(f"{trajectory.status:<10}{trajectory.wall_seconds:>8.2f} s{residual:>24.1e} J", flush=True)
+        figures = f"{trajectory.status:<10}{trajectory.wall_seconds:>8.2f} s{residual:>24.1e} J"
+        print(f"   {name:<33}{figures}", flush=True)  # in one piece: messages about kernels come between the rows
         trajectories[case] = trajectory
     return trajectories
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexman_gym.common.arrays import Array, BoolArray, IntArray, Vector, pad_rows, row_dots
-from flexman_gym.common.checks import check_solvable, one_of, positive
+from flexman_gym.common.checks import check_solvable, one_of, positive, value_error
 from flexman_gym.common.files import READ_ERRORS, open_arrays
 from flexman_gym.common.renamed import ARGUMENTS, deprecated_arguments
 from flexman_gym.control.controller import EpisodeInfo, Plant, Readings, saturated
@@ -258,7 +258,8 @@ class LQR:
     def __init__(
         self, model: Model, torque_limit: float | Vector, period: float, weights: CostWeights | None = None
     ) -> None:
-        check_model(model)
+        for i in np.flatnonzero(check_model(model).constants.passive):
+            raise value_error(f"LQR.model: arm.joints[{i}].passive", True, "an arm with a motor at each joint")
         n, d = model.n_joints, model.n_dof
         self.model, self.period = model, positive("period", period, "s")
         self.limits = np.array(torque_limits("torque_limit", torque_limit, n))

@@ -231,7 +231,11 @@ class FlexManEnv(StatefulEnv, gym.Env[Observation, Observation]):
         return [restored["_np_random"]]
 
     def render(self) -> NDArray[np.uint8] | None:
-        """Return a frame (height, width, 3) uint8 of the deformed arm and the target."""
+        """Return a frame (height, width, 3) uint8 of the deformed arm and the target.
+
+        Raises:
+            RuntimeError: before the first reset.
+        """
         if self.render_mode == "human":
             return None  # every step is shown
         if self._rendering is None:

@@ -48,8 +48,14 @@ class _Renderer:
         self._trails: list[list[tuple[float, Array]]] = [[] for _ in range(arms)]
 
     def frame(self, arm: int) -> NDArray[np.uint8]:
-        """Return a frame (height, width, 3) uint8 of the arm with the index `arm`, its target, tip error and reward."""
+        """Return a frame (height, width, 3) uint8 of the arm with the index `arm`, its target, tip error and reward.
+
+        Raises:
+            RuntimeError: before the first reset.
+        """
         episodes, view = self._episodes, self._episodes.view
+        if not view.episode_parameters:
+            raise RuntimeError("render: there is no episode to be drawn: reset the environment first")
         if self._is_new(arm):
             self._trails[arm], self._shots[arm] = [], self._painter.shot(self.extent(arm))
         time = float(episodes.batch.time[arm])

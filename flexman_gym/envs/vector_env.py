@@ -187,7 +187,11 @@ class FlexManVectorEnv(StatefulEnv, VectorEnv[Observations, Array, Any]):
         return episodes.agent.observations.copy(), rewards, terminations, truncations, infos
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
-        """Return a frame (height, width, 3) uint8 of each deformed arm and its target."""
+        """Return a frame (height, width, 3) uint8 of each deformed arm and its target.
+
+        Raises:
+            RuntimeError: before the first reset.
+        """
         if self._rendering is None:
             logger.warn('render() needs render_mode="rgb_array" in gymnasium.make_vec')
             return None

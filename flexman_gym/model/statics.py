@@ -1,6 +1,8 @@
 """Static equilibrium under gravity with held motors, and the holding torques of the motors."""
 
+from dataclasses import replace
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -10,6 +12,29 @@ from flexman_gym.kernels import inverse, outputs
 from flexman_gym.kernels.layout import OUTPUTS, TIP, Work, make_work
 from flexman_gym.model.dynamics import elastic_forces, inertial_forces, stiffness_matrix
 from flexman_gym.model.model import Model, check_model
+
+LARGEST_FACTOR, FACTOR_TOLERANCE = (
+    1e6,
+    1e-3,
+)  # dimensionless; of the search for the stiffness of a joint that is too soft
+
+
+class _System(NamedTuple):
+    """Scratch arrays and matrices of the static equilibrium of a model.
+
+    All calls can share the scratch arrays, because kernels overwrite them completely and hold the interpreter lock.
+
+    Attributes:
+        work: scratch arrays.
+        free: (f,) indices of the coordinates other than the motor angles.
+        stiffness: (d, d) stiffness matrix without gravity.
+        compliance: (f, f) inverse of the stiffness of the free coordinates.
+    """
+
+    work: Work
+    free: IntArray
+    stiffness: Array
+    compliance: Array
 
 
 def rest_state(model: Model, motor_angles: Vector | Matrix) -> Array:
@@ -27,7 +52,8 @@ def rest_state(model: Model, motor_angles: Vector | Matrix) -> Array:
         State (2 d,) with zero speeds, or (r, 2 d) for r postures.
 
     Raises:
-        ValueError: if the iteration does not converge, for a very compliant arm.
+        ValueError: if the iteration does not converge, for an arm that is too compliant for its weight; the message has
+            the stiffness that a joint needs. Under gravity also for a passive joint without spring.
 
     Examples:
         An arm in a vertical plane sags: its joint springs twist under its weight.
@@ -44,29 +70,68 @@ def rest_state(model: Model, motor_angles: Vector | Matrix) -> Array:
     return result
 
 
+def check_springs(model: Model) -> None:
+    """Raise ValueError for a model with a passive joint without spring, which has no stiffness matrix to invert."""
+    constants = model.constants
+    for i in np.flatnonzero((constants.passive > 0) & (constants.passive_stiffness == 0.0)):
+        allowed = "a number > 0 (N m/rad): a passive joint without spring has no static equilibrium to be computed"
+        raise value_error(f"arm.joints[{i}].stiffness", model.arm.joints[i].stiffness, allowed)
+
+
 def _rest_states(model: Model, postures: Array) -> Array:
     """Return the states (r, 2 d) of static equilibrium with the motors at angles (r, n), rad."""
     states, d = model.at_rest(postures * (model.constants.passive == 0)), model.n_dof
     if not model.constants.gravity.any():
         return states
-    work, free, stiffness, compliance = _rest_system(model)
-    zero, force = np.zeros(d), np.zeros(d)
+    check_springs(model)
+    system = _rest_system(model)
     for posture, state in zip(postures, states, strict=True):
-        change = inverse.solve_equilibrium(model.constants, work, stiffness, compliance, free, zero, state[:d], force)
-        if not change <= inverse.EQUILIBRIUM_TOLERANCE:
-            raise value_error("motor_angles", posture.tolist(), "an arm stiff enough to hold its own weight")
+        if not _relax(model, system, state[:d]):
+            raise value_error("motor_angles", posture.tolist(), _missing_stiffness(model, posture))
     return states
 
 
-@lru_cache(maxsize=16)
-def _rest_system(model: Model) -> tuple[Work, IntArray, Array, Array]:
-    """Return scratch arrays, indices (d - n,) of free coordinates, stiffness (d, d), and its inverse over the indices.
+def _relax(model: Model, system: _System, coordinates: Array) -> bool:
+    """Move coordinates (d,) to the static equilibrium; return False if the iteration does not converge."""
+    zero, force = np.zeros(model.n_dof), np.zeros(model.n_dof)
+    change = inverse.solve_equilibrium(
+        model.constants, system.work, system.stiffness, system.compliance, system.free, zero, coordinates, force
+    )
+    return bool(change <= inverse.EQUILIBRIUM_TOLERANCE)
 
-    All calls can share the scratch arrays, because kernels overwrite them completely and hold the interpreter lock.
-    """
+
+@lru_cache(maxsize=16)
+def _rest_system(model: Model) -> _System:
+    """Return the system of a model; see `_System`."""
     free = np.setdiff1d(np.arange(model.n_dof), model.driven_columns)
     stiffness = stiffness_matrix(model)
-    return make_work(model.constants), free, stiffness, np.linalg.inv(stiffness[np.ix_(free, free)])
+    return _System(make_work(model.constants), free, stiffness, np.linalg.inv(stiffness[np.ix_(free, free)]))
+
+
+def _missing_stiffness(model: Model, posture: Array) -> str:
+    """Return the end of an error: the stiffness of a joint that holds the weight at motor angles (n,), rad."""
+    n, constants = model.n_joints, model.constants
+    springs = np.where(constants.passive, constants.passive_stiffness, constants.joint_stiffness)
+
+    def holds(factors: Array) -> bool:
+        stiffer = {name: getattr(constants, name) * factors for name in ("joint_stiffness", "passive_stiffness")}
+        changed = replace(model, constants=constants._replace(**stiffer))
+        start = changed.at_rest(posture[None] * (constants.passive == 0))[0, : model.n_dof]
+        return _relax(changed, _rest_system.__wrapped__(changed), start)
+
+    for chosen in [*np.eye(n, dtype=bool)[springs > 0.0], springs > 0.0]:
+        if holds(np.where(chosen, LARGEST_FACTOR, 1.0)):
+            low, high = 0.0, np.log(LARGEST_FACTOR)
+            while high - low > FACTOR_TOLERANCE:
+                middle = (low + high) / 2.0
+                low, high = (low, middle) if holds(np.where(chosen, np.exp(middle), 1.0)) else (middle, high)
+            stiffer = np.exp(high) * springs
+            needed = (
+                f"joint {i + 1} needs a stiffness of about {stiffer[i]:.3g} N m/rad, not {springs[i]:.3g}"
+                for i in np.flatnonzero(chosen)
+            )
+            return f"an arm stiff enough to hold its own weight in this posture: {'; '.join(needed)}"
+    return "an arm stiff enough to hold its own weight in this posture: stiffer joints do not suffice, its links bend"
 
 
 def holding_torques(model: Model, motor_angles: Vector) -> Array:
@@ -105,7 +170,7 @@ def rigid_holding_torques(model: Model, motor_angles: Array) -> Array:
 
 def rest_tips(model: Model, postures: Array) -> Array:
     """Return the tip positions (r, 3), m, base frame, in static equilibrium with the motors at angles (r, n), rad."""
-    work, row, tips = _rest_system(model)[0], np.zeros(OUTPUTS), np.zeros((len(postures), 3))
+    work, row, tips = make_work(model.constants), np.zeros(OUTPUTS), np.zeros((len(postures), 3))
     for tip, state in zip(tips, _rest_states(model, postures), strict=True):
         outputs.compute_outputs(model.constants, work, state[: model.n_dof], state[model.n_dof :], row)
         tip[:] = row[TIP]

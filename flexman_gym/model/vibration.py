@@ -11,7 +11,7 @@ from flexman_gym.model.dynamics import elastic_forces, inertial_forces, mass_mat
 from flexman_gym.model.linearization import continuous_model
 from flexman_gym.model.model import Model, check_model
 from flexman_gym.model.state_space import natural_modes
-from flexman_gym.model.statics import holding_torques, rest_state
+from flexman_gym.model.statics import check_springs, holding_torques, rest_state
 
 RIGID_BODY_LIMIT = 1e-6  # magnitude of an eigenvalue / lowest natural frequency, up to which it is rigid-body motion
 OVERDAMPED_LIMIT = 1e-7  # dimensionless; imaginary part of an eigenvalue / its magnitude, up to which it is overdamped
@@ -228,8 +228,12 @@ def rotating_frequencies(model: Model, rates: Vector) -> Array:
     Args:
         model: model of the arm.
         rates: (r,) angular velocities of the first motor, rad/s.
+
+    Raises:
+        ValueError: for a passive joint without spring.
     """
-    d, result = check_model(model).n_dof, []
+    check_springs(check_model(model))
+    d, result = model.n_dof, []
     weightless = replace(model, constants=model.constants._replace(gravity=np.zeros(3)))
     free = np.setdiff1d(np.arange(d), model.driven_columns)
     columns, k = np.concatenate([free, d + free]), len(free)

@@ -83,3 +83,21 @@ def test_gymnasium_records_arms_one_by_one_and_side_by_side(tmp_path):
     for folder in ("one", "many"):
         (film,) = (tmp_path / folder).glob("*.mp4")
         assert film.stat().st_size > 1000
+
+
+@pytest.mark.parametrize("mode", ["rgb_array", "human"])
+def test_render_before_a_reset_is_refused_in_one_line(mode):
+    """By the environment without the wrappers of Gymnasium, by the vector environment and by its calls."""
+    single = FlexManEnv(name="FlexOne-v0", render_mode=mode)
+    if mode == "human":
+        assert single.render() is None  # every step is shown
+        return
+    many = FlexManVectorEnv(2, name="FlexOne-v0", render_mode=mode)
+    for render in (single.render, many.render, lambda: many.call("render"), lambda: many.get_attr("render")):
+        with pytest.raises(
+            RuntimeError, match=r"^render: there is no episode to be drawn: reset the environment first$"
+        ):
+            render()
+    for env in (single, many):
+        env.reset(seed=0)
+        assert env.render() is not None

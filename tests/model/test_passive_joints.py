@@ -1,12 +1,20 @@
 """Tests of passive joints: eigenvalues of a chain of inertias, period of a pendulum, energy, equilibrium and orders."""
 
+import gymnasium as gym
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import eigh, expm
 
 import flexman_gym as fm
+from flexman_gym.control.input_shaping.shapers import excited_modes
+from flexman_gym.control.lqr import LQR
+from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.model.state_space import natural_modes
+from flexman_gym.model.statics import rest_tips
+from flexman_gym.model.vibration import rotating_frequencies
+
+from oracles.assertions import refusal
 
 Y, Z = (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
 CHOICE, FLEXIBLE = fm.ModelChoice(False, 1, rotary_inertia=False), fm.ModelChoice(True, 1)
@@ -158,3 +166,45 @@ def test_a_passive_joint_has_no_torque_to_differentiate(pendulum):
     assert fm.sensitivities(scene, to="motor_torques", step=0.01).parameters == ("motor_torques[0] (N m)",)
     with pytest.raises(ValueError, match=r"to: 'motor_torques\[1\]'"):
         fm.sensitivities(scene, to="motor_torques[1]", step=0.01)
+
+
+def free_pendulum(gravity):
+    """Return the model of an arm whose second joint is passive and has no spring."""
+    link = fm.Link.rod(0.5, 0.01, material="steel")
+    joints = [fm.Joint(Z, rotor_inertia=0.01, torque_limit=1.0), fm.Joint(Z, passive=True)]
+    return fm.build_model(fm.Arm([link, link], joints, gravity=gravity), 1)
+
+
+@pytest.mark.parametrize("call", [
+    lambda model: fm.modes(model), lambda model: fm.modes(model, motors="free"),
+    lambda model: fm.rest_state(model, [0.0, 0.0]), lambda model: fm.rest_state(model, np.zeros((3, 2))),
+    lambda model: fm.holding_torques(model, [0.3, 0.0]), lambda model: rest_tips(model, np.zeros((1, 2))),
+    lambda model: excited_modes(model, [0.0, 0.0]), lambda model: rotating_frequencies(model, [1.0]),
+])  # fmt: skip
+def test_equilibrium_of_a_passive_joint_without_spring_is_refused_in_one_line(call):
+    line = refusal(call, free_pendulum((0.0, -9.81, 0.0)))
+    assert line.startswith("arm.joints[1].stiffness: None is not allowed; give a number > 0 (N m/rad): a passive joint")
+
+
+def test_passive_joint_without_spring_moves_and_vibrates_where_no_equilibrium_is_needed():
+    model = free_pendulum((0.0, 0.0, 0.0))
+    assert fm.modes(model).frequencies[0] > 0.0 and not fm.rest_state(model, [0.0, 0.0]).any()
+    assert not fm.holding_torques(model, [0.0, 0.0]).any() and np.isfinite(rest_tips(model, np.zeros((1, 2)))).all()
+    hanging = free_pendulum((0.0, -9.81, 0.0))
+    assert fm.linearize(hanging, state=np.zeros(2 * hanging.n_dof)).B.shape[1] == 1
+    for call in (lambda: excited_modes(model, [0.0, 0.0]), lambda: rotating_frequencies(model, [1.0])):
+        assert refusal(call).startswith("arm.joints[1].stiffness: None")
+
+
+@pytest.mark.parametrize("stiffness", [None, 2.0])
+@pytest.mark.parametrize("settings", [{}, {"torque_limit": (1.0, 1.0)}, {"base": "lqr"}, {"fidelity": "auto"}], ids=str)
+def test_environment_with_a_passive_joint_is_refused_for_the_missing_motor(settings, stiffness):
+    joints = [fm.Joint(Z, rotor_inertia=0.01, torque_limit=1.0), fm.Joint(Z, passive=True, stiffness=stiffness)]
+    arm = fm.Arm([fm.Link.rod(0.5, 0.01, material="steel")] * 2, joints)
+    for make in (
+        lambda: gym.make("FlexPlanar-v0", arm=arm, **settings),
+        lambda: Configuration("FlexOne-v0", {"arm": arm}),
+    ):
+        line = refusal(make)
+        assert line.startswith("arm.joints[1].passive: True is not allowed; give an arm with a motor at each joint")
+    assert "an arm with a motor at each joint" in refusal(LQR, fm.build_model(arm, 1), 1.0, 0.02)

@@ -1,19 +1,22 @@
 """Static equilibrium: zero accelerations at rest, and the sag of beams against published formulas."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.optimize import brentq
 
 import flexman_gym as fm
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.kernels import layout
+from flexman_gym.kernels.inverse import EQUILIBRIUM_ITERATIONS, EQUILIBRIUM_TOLERANCE
 from flexman_gym.model.statics import rest_tips, rigid_holding_torques
 
 from oracles.assertions import refusal
-from oracles.chains import QUICK, Sample, observed, random_joint, random_link, samples
+from oracles.chains import QUICK, Sample, observed, samples
 
 WEIGHT = 9.81
 
@@ -114,13 +117,6 @@ def test_the_vertical_arm_sags_by_some_seven_centimetres():
     assert (np.abs(fm.holding_torques(model, [0.0, 0.0])) < 0.7 * np.array(limits)).all()
 
 
-def test_an_arm_that_is_too_soft_for_its_weight_is_refused_in_one_line():
-    rng = np.random.default_rng(0)
-    soft = fm.Arm([random_link(rng)], [replace(random_joint(rng, True), stiffness=1.0)], gravity=(0.0, 0.0, -9.81))
-    line = refusal(fm.rest_state, fm.build_model(soft, 1), [0.3])
-    assert line == "motor_angles: [0.3] is not allowed; give an arm stiff enough to hold its own weight"
-
-
 @settings(QUICK, max_examples=25)
 @given(samples(most_links=3, stiffening=None), st.integers(0, 100))
 def test_holding_torques_of_the_rigid_arm_are_the_gradient_of_its_gravitational_energy(sample, seed):
@@ -136,3 +132,51 @@ def test_holding_torques_of_the_rigid_arm_are_the_gradient_of_its_gravitational_
     change = [(energy(angles + each) - energy(angles - each)) / (2.0 * step) for each in step * np.eye(n)]
     scale = max(np.abs(change).max(), abs(energy(angles)))
     assert np.abs(rigid_holding_torques(model, angles) - change).max() <= 1e-6 * scale
+
+
+NEEDED = re.compile(r"joint (\d) needs a stiffness of about (\S+) N m/rad, not (\S+?)(?:;|$)")
+
+
+def vertical(stiffness, passive=()):
+    """Return an arm of rigid rods of 0.5 m and 1 kg in a vertical plane, with springs (N m/rad) at its joints."""
+    link = fm.Link.rigid(0.5, 1.0, (0.25, 0.0, 0.0), np.diag([1e-4, 0.02, 0.02]))
+    joints = [fm.Joint((0.0, 0.0, 1.0), stiffness=each, **{"passive": True} if i in passive else {"rotor_inertia": 0.1})
+              for i, each in enumerate(stiffness)]  # fmt: skip
+    return fm.build_model(fm.Arm([link] * len(joints), joints, gravity=(0.0, -9.81, 0.0)))
+
+
+def test_needed_stiffness_of_a_pendulum_is_that_of_the_closed_form():
+    """The iteration contracts errors by x tan x at the sag x, the slope of the weight over the stiffness."""
+    contraction = EQUILIBRIUM_TOLERANCE ** (1.0 / EQUILIBRIUM_ITERATIONS)
+    sag = brentq(lambda x: x * np.tan(x) - contraction, 0.1, 1.2)
+    line = refusal(fm.rest_state, vertical([0.5]), [0.0])
+    (joint, needed, present), *others = NEEDED.findall(line)
+    assert (joint, present, others) == ("1", "0.5", [])
+    assert float(needed) == pytest.approx(9.81 * 0.25 * np.cos(sag) / sag, rel=0.02)
+    assert line.startswith(
+        "motor_angles: [0.0] is not allowed; give an arm stiff enough to hold its own weight in this"
+    )
+
+
+@pytest.mark.parametrize("passive", [(), (1,), (0, 1)])
+@pytest.mark.parametrize("stiffness", [(0.5, 50.0), (50.0, 0.1), (0.5, 0.1)])
+@pytest.mark.parametrize("posture", [(0.0, 0.0), (0.7, -0.4)])
+def test_arm_with_the_needed_stiffness_holds_its_weight_and_a_softer_one_does_not(stiffness, passive, posture):
+    needed, soft = list(stiffness), [i for i, each in enumerate(stiffness) if each < 1.0]
+    found = NEEDED.findall(refusal(fm.rest_state, vertical(stiffness, passive), posture))
+    assert [int(joint) - 1 for joint, *_ in found] == soft
+    for joint, value, present in found:
+        assert float(present) == stiffness[int(joint) - 1]
+        needed[int(joint) - 1] = float(value)
+    stiffer, softer = (tuple(np.where(np.isin([0, 1], soft), factor, 1.0) * needed) for factor in (1.02, 0.95))
+    assert np.isfinite(fm.rest_state(vertical(stiffer, passive), posture)).all()
+    refusal(fm.rest_state, vertical(softer, passive), posture)
+
+
+def test_arm_whose_links_are_too_soft_for_its_weight_is_refused_as_such():
+    link = fm.Link.strip(2.0, 0.03, 0.001, material="aluminium", thin="y")
+    arm = fm.Arm(
+        [link] * 2, [fm.Joint((0.0, 0.0, 1.0), stiffness=1e4, rotor_inertia=0.1)] * 2, gravity=(0.0, -9.81, 0.0)
+    )
+    line = refusal(fm.rest_state, fm.build_model(arm, 2), [0.0, 0.0])
+    assert line.endswith("stiffer joints do not suffice, its links bend")

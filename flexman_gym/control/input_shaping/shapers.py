@@ -14,6 +14,7 @@ import numpy as np
 from flexman_gym.common.arrays import Array, Vector
 from flexman_gym.common.checks import flag, non_negative, one_of, physical, positive, sample_count, value_error
 from flexman_gym.model.model import Model, check_model
+from flexman_gym.model.statics import check_springs
 from flexman_gym.model.vibration import Eigenpairs, EquilibriumMatrices
 from flexman_gym.simulation.parameters import varied_model
 
@@ -40,9 +41,10 @@ def excited_modes(model: Model, posture: Vector, held: bool = True, servo: float
             and damping give a rigid arm, with all other motors locked, a damping ratio of SERVO_DAMPING.
 
     Raises:
-        ValueError: for a posture of wrong shape, and for an arm without an equilibrium.
+        ValueError: for a posture of wrong shape, an arm without an equilibrium, and a passive joint without spring.
     """
-    resting = EquilibriumMatrices.of(check_model(model), posture)
+    check_springs(check_model(model))
+    resting = EquilibriumMatrices.of(model, posture)
     if servo is not None:
         return _servo_modes(resting, 2.0 * np.pi * physical("servo", servo, "Hz"))
     motors, others = resting.motors, resting.free

@@ -105,6 +105,10 @@ class Configuration(EnvironmentSettings):
 
     def _check_together(self) -> None:
         """Check the settings whose allowed values depend on other settings, and store torque limits and gains."""
+        for i, joint in enumerate(self.arm.joints):
+            if joint.passive:
+                allowed = "an arm with a motor at each joint: the actions of an environment are torques of all joints"
+                raise value_error(f"arm.joints[{i}].passive", True, allowed)
         vars(self)["torque_limit"] = self._torque_limits()
         if not 0.5 <= self.horizon / self.control_period <= MAX_PERIODS:
             allowed = f"1 to {MAX_PERIODS} control periods of {self.control_period} s"

@@ -1,0 +1,72 @@
+"""Output of commands: a reader that has gone ends them quietly, and rows of tables come in one piece."""
+
+import ast
+import os
+import subprocess
+import sys
+
+import pytest
+
+import flexman_gym as fm
+from flexman_gym.__main__ import CLOSED_PIPE, main
+from flexman_gym.commands import list as list_command
+
+from oracles.files import ROOT
+
+
+@pytest.mark.parametrize("words", [["list"], ["list", "methods"], ["--help"], ["--version"], ["evaluate", "--help"]])
+@pytest.mark.parametrize("together", [False, True])
+def test_command_whose_reader_has_gone_ends_quietly(words, together):
+    """As `flexman list | head` after the last line of `head`; with stderr in the same pipe or apart."""
+    reader, writer = os.pipe()
+    os.close(reader)
+    result = subprocess.run(
+        [sys.executable, "-m", "flexman_gym", *words], stdout=writer, stderr=writer if together else subprocess.PIPE,
+        env=os.environ | {"PYTHONUNBUFFERED": ""},
+    )  # fmt: skip
+    os.close(writer)
+    assert result.returncode == CLOSED_PIPE == 141 and not result.stderr
+
+
+def test_broken_pipe_of_something_else_is_an_error_of_one_line(monkeypatch, capsys):
+    def run(options):
+        raise BrokenPipeError(32, "Broken pipe")
+
+    monkeypatch.setattr(list_command, "COMMAND", list_command.COMMAND._replace(run=run))
+    assert main(["list"]) == 2 and capsys.readouterr().err == "[Errno 32] Broken pipe\n"
+
+
+def test_full_disk_is_an_error_of_one_line():
+    with open("/dev/full", "w") as full:
+        result = subprocess.run(
+            [sys.executable, "-m", "flexman_gym", "list", "conditions"], stdout=full, stderr=subprocess.PIPE, text=True
+        )
+    assert result.returncode == 2 and result.stderr == "[Errno 28] No space left on device\n"
+
+
+def test_no_command_prints_a_part_of_a_line():
+    """Messages about kernels, which come whenever one compiles, would be in its middle."""
+    paths = [*(ROOT / "flexman_gym").rglob("*.py"), *(ROOT / "agents").rglob("*.py")]
+    parts = [f"{path.name}:{node.lineno}" for path in paths for node in ast.walk(ast.parse(path.read_text()))
+             if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "print"
+             for keyword in node.keywords if keyword.arg == "end"]  # fmt: skip
+    assert not parts and len(paths) > 200
+
+
+def test_rows_of_the_demonstration_are_whole_between_messages(monkeypatch, capfd):
+    """Each simulation writes a message, as the first one does for the kernels that it compiles."""
+    pytest.importorskip("stable_baselines3")
+    from flexman_gym.commands import demo
+
+    trajectory = fm.simulate(fm.catalog.paper_scene("rr"))
+
+    def simulate(*_, **__):
+        os.write(sys.__stdout__.fileno(), b"  kernel: about 3 s left\n")
+        return trajectory
+
+    monkeypatch.setattr(demo.fm, "simulate", simulate)
+    demo._simulate_cases()
+    lines = capfd.readouterr().out.splitlines()[1:]
+    assert lines[::2] == ["  kernel: about 3 s left"] * 3
+    assert [line[3:36].strip() for line in lines[1::2]] == list(demo.CASES.values())
+    assert all(line.endswith(" J") for line in lines[1::2])
