@@ -88,8 +88,10 @@ def in_place(path):
         writing = [each for each in modes if set(each) & set("wax+") and len(each) < 4]
         if name in ("open", "fdopen") and writing:
             found.add(f"{name}({writing[0]!r})")
-        elif name in WRITERS or (isinstance(node.func, ast.Attribute) and name in METHODS) or (
-            name == "save" and owner in LIBRARIES
+        elif (
+            name in WRITERS
+            or (isinstance(node.func, ast.Attribute) and name in METHODS)
+            or (name == "save" and owner in LIBRARIES)
         ):
             found.add(name)
     return found

@@ -259,7 +259,7 @@ class _ReferenceShapingMode:
 
 
 OPTIONAL_MEMBERS = (
-    "state_fields", "strength", "observation_sizes", "observe", "derivatives", "gain_units", "prepare",
+    "state_fields", "strength", "observation_sizes", "observe", "derivatives", "gain_units", "prepare", "skip",
 )  # fmt: skip
 """Members that an action mode may omit."""
 
@@ -275,8 +275,8 @@ class ActionMode(Protocol):
     quantities of the active arms and returns the quantities of all arms, concatenated to (b, size). `observe` is called
     before the agent acts, in the same control period. `derivatives(actions, readings, changes)` and `gain_units` are
     those of `Controller`, with the actions (1, k), and their derivatives (p, k) in `changes["actions"]`; the result is
-    the derivatives (p, n) only. `prepare(applied, active)` is that of `Controller`. A mode that changes or measures the
-    torques of another one extends `ModeWrapper`.
+    the derivatives (p, n) only. `prepare(applied, active)` and `skip(active)` are those of `Controller`. A mode
+    that changes or measures the torques of another one extends `ModeWrapper`.
 
     Attributes:
         joints: n, number of joints.

@@ -113,6 +113,4 @@ def _write_gif(frames: Sequence[NDArray[np.uint8]], file: BinaryIO, rate: float)
     first, *rest = images = [Image.fromarray(now) for now in shown]
     for image in images:
         image.putpalette(numbers)
-    first.save(
-        file, "GIF", save_all=True, append_images=rest, duration=round(1e3 / rate), loop=0, optimize=True
-    )
+    first.save(file, "GIF", save_all=True, append_images=rest, duration=round(1e3 / rate), loop=0, optimize=True)

@@ -31,7 +31,7 @@ class Full:
         self.count, self.calls = 0, []
 
     def __getattribute__(self, name):
-        if name in ("reset", "act", "observe", "derivatives", "prepare"):
+        if name in ("reset", "act", "observe", "derivatives", "prepare", "skip"):
             return lambda *arguments: self.calls.append((name, arguments)) or name
         return super().__getattribute__(name)
 
@@ -85,7 +85,7 @@ def test_every_member_of_the_protocol_is_that_of_the_wrapped_mode(wrapper):
     for name in {*REQUIRED, *OPTIONAL_MEMBERS} - {*withheld, "state_fields"}:
         value = getattr(wrapped, name)
         if callable(value):
-            arguments = tuple(range({"reset": 3, "act": 4, "prepare": 2}.get(name, 3)))
+            arguments = tuple(range({"reset": 3, "act": 4, "prepare": 2, "skip": 1}.get(name, 3)))
             assert value(*arguments) == (name if name != "reset" else None)
             assert mode.calls.pop() == (name, arguments)
         elif name == "sensors":
