@@ -12,7 +12,7 @@ from flexman_gym.common import files
 from flexman_gym.common.markdown import markdown_table
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.envs.tasks import Slew
-from flexman_gym.scene import catalog
+from flexman_gym.scene import Link, catalog
 from studies.environments.measure import DURATION, Baseline, ModelError
 from studies.environments.text import (
     arm_facts,
@@ -195,7 +195,7 @@ def _differences(name: str) -> list[str]:
     arm, printed, corrected = NAMED_ENVIRONMENTS[name].arm, *(catalog.paper_rrr(area) for area in AREAS)
     if [link.length for link in arm.links] != [link.length for link in printed.links]:
         return []
-    areas = [each.links[0].area for each in (arm, printed, corrected)]
+    areas = [link.area for link in (each.links[0] for each in (arm, printed, corrected)) if isinstance(link, Link)]
     used = AREAS[areas[1:].index(areas[0])]
     return [*paragraph(
         f"The paper prints no rotor inertia and neglects damping. The arm here has rotors of "
