@@ -5,7 +5,7 @@ import threading
 
 import pytest
 
-from flexman_gym.common.files import check_output, write_atomically, write_file
+from flexman_gym.common.files import check_output, new_folder, write_atomically, write_file
 
 
 def test_a_file_is_whole_or_not_there(tmp_path):
@@ -57,6 +57,14 @@ def test_a_link_remains_and_its_target_is_written(tmp_path):
     for content in ("first", b"second", lambda file: file.write(b"third")):
         write_file(link, content)
     assert link.is_symlink() and target.read_bytes() == b"third" and os.listdir(target.parent) == ["target"]
+
+
+def test_a_new_folder_has_the_first_free_number(tmp_path):
+    made = [new_folder(tmp_path / "a" / "now") for _ in range(3)]
+    assert made == [tmp_path / "a" / name for name in ("now", "now-2", "now-3")] and all(map(os.path.isdir, made))
+    (tmp_path / "file").write_text("")
+    with pytest.raises(OSError, match="file"):
+        new_folder(tmp_path / "file" / "now")
 
 
 def test_a_pipe_is_written_in_place(tmp_path):

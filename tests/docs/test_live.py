@@ -2,6 +2,8 @@
 
 import base64
 import shutil
+import threading
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 import numpy as np
 import pytest
@@ -175,6 +177,56 @@ def test_the_remaining_controls(browser, page):
     browser.wait("document.getElementById('note').textContent.includes('ppo-flexplanar')")
     choose(browser, "agent", "pd")
     browser.wait(f"{READY} && replay.runs[0].name === 'pd'")
+
+
+class Failing:
+    """Controller that fails as long as it is told to."""
+
+    sensors = ("motor_encoders",)
+    fails = True
+
+    def reset(self, arms, episode, count):
+        pass
+
+    def act(self, readings, applied, active):
+        if Failing.fails:
+            raise RuntimeError(EVIL)
+        return np.zeros_like(applied)
+
+
+def test_the_error_of_an_agent_is_on_the_page_and_a_new_episode_runs(browser, page, monkeypatch):
+    monkeypatch.setattr(Failing, "fails", True)
+    page("FlexOne-v0", Failing())
+    browser.wait("document.getElementById('note').textContent.startsWith('Failing: RuntimeError: ')")
+    assert browser.run("return [replay.controls.state.paused, replay.rows()]") == [True, [1]]
+    monkeypatch.setattr(Failing, "fails", False)
+    click(browser, "again")
+    browser.wait("document.getElementById('note').textContent === '' && replay.rows()[0] === 1")
+    click(browser, "play")
+    browser.wait("replay.rows()[0] > 5")
+
+
+def test_a_page_of_this_computer_shows_it_in_a_frame(browser, page, monkeypatch):
+    """As a notebook does: the page in the frame receives the events."""
+    session = page("FlexOne-v0", "zero")
+    browser.open("about:blank", "true")
+    text = f"<!doctype html><title>notebook</title>{session._repr_html_()}".encode()
+    handler = type("Notebook", (BaseHTTPRequestHandler,), {"do_GET": lambda each: answer(each, text)})
+    with ThreadingHTTPServer(("127.0.0.1", 0), handler) as notebook:
+        threading.Thread(target=notebook.serve_forever, daemon=True).start()
+        opened = threading.Event()
+        monkeypatch.setattr(session._page, "stream", lambda write: opened.set())
+        browser.open(f"http://127.0.0.1:{notebook.server_address[1]}/", "document.title === 'notebook'")
+        assert opened.wait(60)
+        notebook.shutdown()
+
+
+def answer(request, text):
+    """Answer a request with a page."""
+    request.send_response(200)
+    request.send_header("Content-Type", "text/html")
+    request.end_headers()
+    request.wfile.write(text)
 
 
 @pytest.mark.parametrize("width", [390, 1280])
