@@ -1,9 +1,10 @@
 """Real-time loop of an agent and a machine: fixed control period, watchdog, stop, and a log as Episode."""
 
 import gc
-import time
-from collections.abc import Callable, Mapping
-from contextlib import closing, nullcontext
+import signal
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import closing, contextmanager, nullcontext
 from dataclasses import asdict, replace
 from functools import partial
 from typing import Any
@@ -13,19 +14,26 @@ import numpy as np
 from flexman_gym.common.arrays import Array, IntArray
 from flexman_gym.common.checks import positive, value_error, whole_number
 from flexman_gym.envs.config.configuration import Configuration
+from flexman_gym.envs.config.fidelity import resolve_fidelity
+from flexman_gym.envs.config.specification import make_plant
 from flexman_gym.envs.env import MAX_SEED
 from flexman_gym.envs.episodes import Episodes
 from flexman_gym.envs.sensors import ModelState, find_sensors, measured_names
 from flexman_gym.envs.sensors.sensor import measurement_ranges
 from flexman_gym.envs.view import View
 from flexman_gym.evaluation.agent import AgentSpec, find_agent, split_interface
-from flexman_gym.evaluation.machine.machine import HELLO_SECONDS, UNITS, Machine, UdpMachine
-from flexman_gym.evaluation.machine.simulated import ROUNDING, SILENT_PERIODS
+from flexman_gym.evaluation.machine.arm import ROUNDING
+from flexman_gym.evaluation.machine.clock import MonotonicClock
+from flexman_gym.evaluation.machine.machine import HELLO_SECONDS, READ_INTERVAL, UNITS, Machine, Receipt, UdpMachine
+from flexman_gym.evaluation.machine.plausibility import TORQUE_ERROR, InnovationTest
+from flexman_gym.evaluation.machine.rest import REST, RestSpeeds, RestWait, noise_level
+from flexman_gym.evaluation.machine.simulated import SILENT_PERIODS
 from flexman_gym.evaluation.machine.state_estimate import StateEstimate
+from flexman_gym.evaluation.machine.timing import TimingTest
 from flexman_gym.evaluation.rollout import TEST_SEEDS, RolloutLoop
 from flexman_gym.kernels import layout
 from flexman_gym.kernels.layout import LARGEST_STATE
-from flexman_gym.model.linearization import LINEAR_SENSORS
+from flexman_gym.model.linearization import LINEAR_SENSORS, measurement_rows
 from flexman_gym.scene.arm import Arm
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.batch_integrators import BatchIntegrator
@@ -36,31 +44,12 @@ MEASURED = tuple(name for names in LINEAR_SENSORS.values() for name in names)  #
 LOGGED = ("motor_angles", "motor_rates", "torques")  # quantities that every log has, if the machine measures them
 # time from the arrival of the first readings to the deadlines: fraction of the control period, at most, s
 PHASE, LONGEST_PHASE = 0.1, 5e-4
-SPIN = 1e-4  # s; end of a wait that is not slept, longer than a computer needs to wake up a process
-READ_INTERVAL = 3e-4  # s; time between two attempts to read before the start and during the stop, more than SPIN
 POLL_INTERVAL = 1e-5  # s; time between two attempts to read late readings
 # number of readings before the start, whose median is the start, and of control periods in which deadlines are set
 START_READINGS = 25
 # control periods that the agent simulates before the start: to load kernels, to allocate the memory of its internal
 # models, and to compute the gains and references of the move, of which each takes longer than some control periods
 WARM_UP = 500
-REST_RATE = 0.005  # fraction of Limits.rate; motors below this rate are at rest
-REST_SECONDS, STOP_SECONDS = 0.2, 20.0  # s; shortest time at rest, and longest wait for it
-
-
-class MonotonicClock:
-    """Monotonic clock of the computer; `wait` sleeps until shortly before the deadline, and then spins."""
-
-    def now(self) -> float:
-        """Return the time, s."""
-        return time.monotonic()
-
-    def wait(self, deadline: float) -> None:
-        """Return at a time, s."""
-        if (rest := deadline - time.monotonic() - SPIN) > 0.0:
-            time.sleep(rest)
-        while time.monotonic() < deadline:
-            pass
 
 
 def drive(
@@ -76,9 +65,11 @@ def drive(
 
     The agent acts as in `rollout`, at first for up to `WARM_UP` control periods in a simulation without the machine. In
     each control period it reads the newest readings, and its torques are limited by the torque limits. The arm is
-    brought to rest after the last period, and as soon as there are no new readings for `silence` control periods, a
-    reading is NaN or out of its range, the arm exceeds its `Limits` or their margins, or the agent raises an exception
-    or commands NaN. The cause is the failure of the log.
+    brought to rest after the last period, at SIGINT and SIGTERM, and as soon as there are no new readings for `silence`
+    control periods, readings are late, at another rate than the period, or too few (`timing.TimingTest`), a reading is
+    NaN or out of its range, stands still or contradicts the commands (`plausibility.InnovationTest`), the arm exceeds
+    its `Limits` or their margins, or the agent raises an exception or commands NaN. The cause is the failure of the
+    log.
 
     The states of the log follow from the readings, see `StateEstimate`. Readings that were not received are NaN, and
     the agent then reads the last ones.
@@ -86,7 +77,8 @@ def drive(
     Args:
         agent: as in `rollout`.
         machine: "udp:HOST:PORT", the address of a `SimulatedMachine`, or a Machine.
-        environment: environment of the design, with goals, limits and model; None for that of the agent.
+        environment: environment of the design, with goals, limits, model, and ranges of the uncertain parameters and
+            the noise, from which the bounds of plausible readings follow; None for that of the agent.
         seed: seed of the goal.
         seconds: duration, s; None for the horizon of the environment.
         options: options of the reset, such as goal_angles.
@@ -96,11 +88,12 @@ def drive(
         Log, with statistics at `about["machine"]`: number of "periods", "lateness" at their deadlines, median and
         maximum (s), median "delay" of the torques after the deadlines (s), share "missed" of the torques that were sent
         when the next readings had arrived, "silent" periods without new readings, "received" packets (`packets.Counts`)
-        and "rest_seconds" from the stop to rest, None for a machine that does not answer.
+        and what `rest.RestWait` returns: the times from the stop to the rest of motors and tip, and their last speeds.
 
     Raises:
         OSError: for a machine that does not answer.
-        ValueError: for an invalid argument, and for an agent that needs quantities which the machine does not measure.
+        ValueError: for an invalid argument, for an agent that needs quantities which the machine does not measure, and
+            for a machine with another number of values, with another period or with late readings before the start.
     """
     spec = find_agent(agent)
     design = Configuration.find(environment or spec.environment or Configuration())
@@ -108,11 +101,17 @@ def drive(
     whole_number("silence", silence, 1, 10**6)
     spec, needed = _prepared(spec, split_interface(design)[0])
     horizon = design.horizon if seconds is None else positive("seconds", seconds, "s")
-    quiet = design.replace(randomisation=None, drive_bandwidth=None, horizon=horizon)
+    design = design.replace(horizon=horizon)
     names = list(dict.fromkeys([*needed, *LOGGED]))
     opened: Any = closing(UdpMachine(machine, names)) if isinstance(machine, str) else nullcontext(machine)
     with opened as robot:
-        return _Loop(robot, quiet, needed, silence).run(spec, seed, dict(options or {}))
+        return _Loop(robot, design, needed, silence).run(spec, seed, dict(options or {}))
+
+
+def wanted_quantities(agent: object, environment: "str | Configuration") -> list[str]:
+    """Return the names of the quantities that `drive` asks a machine for; arguments as in `drive`."""
+    needed = _prepared(find_agent(agent), split_interface(Configuration.find(environment))[0])[1]
+    return list(dict.fromkeys([*needed, *LOGGED]))
 
 
 def _prepared(spec: AgentSpec, environment: Configuration) -> tuple[AgentSpec, list[str]]:
@@ -133,27 +132,58 @@ class _Loop:
 
     Args:
         machine: the machine.
-        environment: environment of the agent, without disturbances.
+        design: environment of the design.
         needed: quantities that the agent needs.
         silence: control periods without new readings after which the arm is stopped.
     """
 
-    def __init__(self, machine: Machine, environment: Configuration, needed: list[str], silence: int) -> None:
-        self.fault = ""
-        self._machine, self._environment, self._period, self._silence = machine, environment, machine.period, silence
+    def __init__(self, machine: Machine, design: Configuration, needed: list[str], silence: int) -> None:
+        self.fault = self._doubt = ""
+        self._machine, self._period, self._silence = machine, machine.period, silence
+        self._environment = design.replace(randomisation=None, drive_bandwidth=None)
+        self._plant = make_plant(design, resolve_fidelity(design).model)
         self._clock = getattr(machine, "clock", MonotonicClock())
-        if missing := sorted({"motor_angles", *needed} - machine.quantities.keys()):
-            own = f"one that measures {', '.join(machine.quantities)}"
-            raise value_error("machine", own, f"one that measures {', '.join(missing)}, too, or another agent")
-        if not np.isclose(self._period, environment.control_period, rtol=1e-6):
-            raise value_error("machine", f"a control period of {self._period:g} s", f"{environment.control_period:g} s")
+        self._check(needed)
         self._phase = min(PHASE * self._period, LONGEST_PHASE)
-        self._scale = _command_scale(environment.arm, machine.unit)
+        self._scale = _command_scale(design.arm, machine.unit)
         self._deadline, self._lateness, self._delays, self._silent = 0.0, list[float](), list[float](), 0
         self._rows: list[Mapping[str, Array]] = []
         self._no_readings = {name: np.full(size, np.nan) for name, size in machine.quantities.items()}
-        first = [self._new_readings() for _ in range(START_READINGS)]
-        self._now = {name: np.median([readings[name] for readings in first], axis=0) for name in machine.quantities}
+        self._commands: list[Array] = []  # N m
+        self._tested = _Tested(getattr(machine, "receipt", None))
+        self._timing = TimingTest(self._period, silence)
+        self._first = self._first_readings()
+        self._now = {name: np.median([each[name] for each in self._first], axis=0) for name in machine.quantities}
+
+    def _check(self, needed: list[str]) -> None:
+        """Raise ValueError for a machine that does not fit the agent and the arm."""
+        quantities = self._machine.quantities
+        if missing := sorted({"motor_angles", *needed} - quantities.keys()):
+            own = f"one that measures {', '.join(quantities)}"
+            raise value_error("machine", own, f"one that measures {', '.join(missing)}, too, or another agent")
+        model = self._plant.model
+        sizes = {name: len(rows) for name, rows in measurement_rows(model).items()}
+        sizes |= {"torques": model.n_joints, "state": 2 * model.n_dof}
+        for name, size in quantities.items():
+            if size != sizes.get(name, size):
+                raise value_error("machine", f"{size} values of {name}", f"{sizes[name]}, the number of this arm")
+        if not np.isclose(self._period, self._environment.control_period, rtol=1e-6):
+            allowed = f"{self._environment.control_period:g} s"
+            raise value_error("machine", f"a control period of {self._period:g} s", allowed)
+
+    def _first_readings(self) -> list[dict[str, Array]]:
+        """Return the readings of the braked arm; ValueError for readings that are late or of another period."""
+        readings, receipts = [], list[Receipt]()
+        for _ in range(START_READINGS):
+            readings.append(self._new_readings())
+            if (receipt := getattr(self._machine, "receipt", None)) is not None:
+                receipts.append(receipt)
+        if wrong := self._timing.start(receipts, self._clock.now()):
+            raise value_error("machine", wrong, f"new ones every {1e3 * self._period:g} ms")
+        for name, values in readings[-1].items():
+            if values.shape != (self._machine.quantities[name],) or not np.isfinite(values).all():
+                raise value_error("machine", f"{name} = {values.tolist()}", "finite readings of the braked arm")
+        return readings
 
     def _new_readings(self) -> dict[str, Array]:
         """Return new readings of the machine."""
@@ -176,18 +206,46 @@ class _Loop:
             loop.law = self._guarded(loop.law, len(agent.mode.names))
         agent.act = self._guarded(agent.act, agent.mode.joints)
         self._prepare = self._guarded(partial(_prepare, loop.episodes), 1)
+        self._innovations = self._innovation_test()
         gc.collect()
         gc.freeze()
         gc.disable()  # a collection takes longer than some control periods
         try:
-            loop.begin(None, self._set_plant, options)
-            while not loop.over:
-                loop.step()
+            with self._signals():
+                loop.begin(None, self._set_plant, options)
+                while not loop.over:
+                    loop.step()
         finally:
             gc.enable()
             gc.unfreeze()
             self._machine.stop()
         return self._log(loop.result().episode(0), self._wait_for_rest())
+
+    def _innovation_test(self) -> InnovationTest:
+        """Return the test of the values of readings, after a trial that loads its kernels."""
+        test = InnovationTest(self._plant, self._first)
+        test.advance(np.zeros(self._plant.model.n_joints))
+        return InnovationTest(self._plant, self._first)
+
+    @contextmanager
+    def _signals(self) -> Iterator[None]:
+        """Make a first SIGINT or SIGTERM a fault; a second one acts as before."""
+        if threading.current_thread() is not threading.main_thread():
+            yield
+            return
+        before = {each: signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)}
+
+        def note(number: int, _: object) -> None:
+            self.fault = self.fault or f"interrupted by {signal.Signals(number).name}"
+            signal.signal(number, before[signal.Signals(number)])
+
+        for each in before:
+            signal.signal(each, note)
+        try:
+            yield
+        finally:
+            for each, handler in before.items():
+                signal.signal(each, handler)
 
     def _guarded(self, function: Callable[..., Any], size: int) -> Callable[..., Any]:
         """Return a function of the agent whose exceptions, and values that are not within -1 to 1, are faults."""
@@ -198,8 +256,6 @@ class _Loop:
                 if (np.abs(result) <= 1.0 + 1e-6).all():
                     return result
                 self.fault = self.fault or f"the agent commands {result.ravel().tolist()}, not within -1 to 1"
-            except KeyboardInterrupt:
-                self.fault = "interrupted"
             except Exception as error:
                 self.fault = self.fault or f"the agent raised {type(error).__name__}: {' '.join(str(error).split())}"
             return np.zeros((1, size))
@@ -209,11 +265,17 @@ class _Loop:
     def _set_plant(self, batch: Batch) -> None:
         """Replace the simulation of an arm by the machine."""
         limits = measurement_ranges(View(batch), self._environment.limits)
+        limits["torques"] = (1.0 + TORQUE_ERROR) * np.array(self._plant.torque_limit)
         self._bounds = {name: limits.get(name, LARGEST_STATE) * (1.0 + ROUNDING) for name in self._machine.quantities}
         self._estimate = StateEstimate(batch.model, self._machine.quantities, self._period)
         self._rows = [self._now]
         self._state = self._estimate.state(self._now)
-        batch.replace_integrator(lambda inner: _MachineIntegrator(inner, self.exchange))
+
+        def replaced(inner: BatchIntegrator) -> BatchIntegrator:
+            self._outputs = inner.compute_outputs
+            return _MachineIntegrator(inner, self.exchange)
+
+        batch.replace_integrator(replaced)
 
     def exchange(self, torques: Array | None) -> Array | None:
         """Send torques (n,), N m, wait for the end of the control period and return the state (2 d,); None for a fault.
@@ -222,10 +284,7 @@ class _Loop:
         """
         if torques is None:
             return self._state
-        try:
-            readings = None if self.fault else self._next_readings(torques / self._scale)
-        except KeyboardInterrupt:
-            readings, self.fault = None, "interrupted"
+        readings = None if self.fault else self._next_readings(torques)
         self._rows.append(self._no_readings if readings is None else readings)
         if self.fault:
             return None
@@ -233,16 +292,20 @@ class _Loop:
             self._now, self._state = self._now | readings, self._estimate.state(self._now | readings)
         return self._state
 
-    def _next_readings(self, commands: Array) -> dict[str, Array] | None:
-        """Send commands, wait until the deadline, and return the newest readings; None without new readings."""
+    def _next_readings(self, torques: Array) -> dict[str, Array] | None:
+        """Send torques, wait until the deadline, and return the newest readings; None without new readings."""
         if not self._lateness:  # the deadlines follow the packets of the machine, which then have arrived
             self._machine.read()
             self._new_readings()
             self._deadline = self._clock.now() + self._phase
             self._clock.wait(self._deadline)
-        self._machine.write(commands)
+        self._machine.write(torques / self._scale)
         self._delays.append(self._clock.now() - self._deadline)
+        self._commands.append(torques)
         self._prepare()
+        self._test_readings()  # of the last deadline; the arm moves meanwhile
+        if self.fault:
+            return None
         self._deadline += self._period
         self._clock.wait(self._deadline)
         self._lateness.append(self._clock.now() - self._deadline)
@@ -250,16 +313,28 @@ class _Loop:
         if given is None and len(self._lateness) <= START_READINGS:
             given = self._late_readings()
         self._silent = self._silent + 1 if given is None else 0
+        receipt = getattr(self._machine, "receipt", None)
+        self.fault = self.fault or self._timing.check(receipt, given is not None, self._clock.now())
         if given is None:
             if self._silent >= self._silence:
-                self.fault = f"no new readings for {self._silence} control periods"
+                self.fault = self.fault or f"no new readings for {self._silence} control periods"
             return None
         readings = {name: np.array(values, dtype=float) for name, values in given.items()}
         for name, values in readings.items():
             beyond = ~(np.abs(values) <= self._bounds[name])
             if beyond.any():
                 self.fault = self.fault or f"reading {name}[{int(np.argmax(beyond))}] is {values[beyond][0]:.4g}"
+        self._tested.add(readings, receipt, len(self._commands))
         return readings
+
+    def _test_readings(self) -> None:
+        """Test the values of the readings of the last deadline, if there were new ones."""
+        for torques in self._tested.periods(self._commands):
+            self._innovations.advance(torques)
+        if (readings := self._tested.readings) is not None:
+            self._tested.readings = None
+            self._doubt = self._innovations.check(readings)
+            self.fault = self.fault or self._doubt
 
     def _late_readings(self) -> Mapping[str, Any] | None:
         """Return readings that arrive up to half a period late, and let the deadlines follow them; None without any.
@@ -274,23 +349,28 @@ class _Loop:
             self._deadline = self._clock.now() + self._phase
         return given
 
-    def _wait_for_rest(self) -> float | None:
-        """Return the time until the motors are at rest after the stop, s; None without readings of their rates."""
-        clock, limit = self._clock, REST_RATE * self._environment.limits.rate
-        begin = resting = heard = clock.now()
-        while clock.now() < begin + STOP_SECONDS and clock.now() < heard + 1.0:
-            clock.wait(clock.now() + READ_INTERVAL)
-            readings = self._machine.read()
-            if readings is None or "motor_rates" not in readings:
-                continue
-            heard = clock.now()
-            if not (np.abs(readings["motor_rates"]) <= limit).all():
-                resting = heard
-            if heard - resting >= REST_SECONDS:
-                return resting - begin
-        return None
+    def _wait_for_rest(self) -> dict[str, float | None]:
+        """Return the result of `RestWait` for the stop that was ordered now; None for each without true readings."""
+        if self._doubt:
+            return dict.fromkeys(REST)
+        speeds = RestSpeeds(self._plant.model, np.array(self._plant.torque_limit))
+        first = np.array([self._speeds(each) for each in self._first])
+        wait = RestWait(speeds, (noise_level(first[:, 0]), noise_level(first[1:, 1])), self._silence)
+        return wait(self._machine, self._clock, self._speeds)
 
-    def _log(self, episode: Episode, rest_seconds: float | None) -> Episode:
+    def _speeds(self, readings: Mapping[str, Any]) -> tuple[float, float]:
+        """Return the largest rate of a motor, rad/s, and the speed of the tip, m/s; nan for those not measured."""
+        given = {name: np.array(values, dtype=float) for name, values in readings.items()}
+        rate = float(np.abs(given["motor_rates"]).max()) if "motor_rates" in given else np.nan
+        if not self._estimate.complete:
+            return rate, np.nan
+        state = self._estimate.state(given)
+        rows, outputs = np.zeros((1, len(state) + 2)), np.zeros((1, layout.OUTPUTS))
+        rows[0, : len(state)] = state
+        self._outputs(np.zeros(1, dtype=np.int64), rows, outputs)
+        return rate, float(np.linalg.norm(outputs[0, layout.TIP_VELOCITY]))
+
+    def _log(self, episode: Episode, rest: dict[str, float | None]) -> Episode:
         """Return the episode with all readings of the machine, the torques that it measured, and statistics."""
         names = [name for name in self._machine.quantities if name != "state"]
         raw = {name: np.array([row[name] for row in self._rows]) for name in names}
@@ -300,14 +380,46 @@ class _Loop:
         statistics = {
             "periods": len(self._lateness), "lateness": [float(np.median(late)), float(late.max())],
             "delay": float(np.median(delays)), "missed": float(np.mean(delays > self._period - self._phase)),
-            "silent": int(np.isnan(raw["motor_angles"]).all(axis=1).sum()), "rest_seconds": rest_seconds,
-            "received": asdict(receiver.counts) if receiver else {},
+            "silent": int(np.isnan(raw["motor_angles"]).all(axis=1).sum()),
+            "received": asdict(receiver.counts) if receiver else {}, **rest,
         }  # fmt: skip
         about = {"units": episode.about["units"] | {name: UNITS[name] for name in raw}, "machine": statistics}
         return replace(
             episode, torques=np.where(np.isfinite(torques), torques, episode.torques), readings=episode.readings | raw,
             about=episode.about | about | {"failure": self.fault or episode.about["failure"]},
         )  # fmt: skip
+
+
+class _Tested:
+    """Readings whose values are to be tested, and the control periods of the machine between them.
+
+    Args:
+        receipt: transport of the readings of the braked arm; None for a machine that does not tell it.
+
+    Attributes:
+        readings: readings to be tested; None without new ones.
+    """
+
+    def __init__(self, receipt: Receipt | None) -> None:
+        self.readings: Mapping[str, Array] | None = None
+        self._last, self._elapsed, self._effective, self._period = receipt, 0, 0, 0
+
+    def add(self, readings: Mapping[str, Array], receipt: Receipt | None, commands: int) -> None:
+        """Add the readings of a deadline, after a number of commands."""
+        if receipt is None or self._last is None:
+            elapsed, self._effective = commands - self._period, commands
+        else:
+            elapsed, self._effective = receipt.number - self._last.number, commands - receipt.behind
+        self._last, self._period = receipt, commands
+        self._elapsed = min(elapsed, self._effective)
+        self.readings = readings if self._effective > 0 else None
+
+    def periods(self, commands: list[Array]) -> list[Array]:
+        """Return the torques (n,), N m, of each control period until the readings, by the commands (n,) so far."""
+        if self.readings is None:
+            return []
+        first = self._effective - self._elapsed
+        return commands[max(first, 0) : self._effective]
 
 
 def _prepare(episodes: Episodes) -> float:

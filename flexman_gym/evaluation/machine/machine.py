@@ -2,24 +2,59 @@
 
 import json
 import socket
-import time
-from collections.abc import Mapping, Sequence
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from secrets import randbits
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
 from flexman_gym.common.arrays import Array
-from flexman_gym.common.checks import one_of, value_error
-from flexman_gym.evaluation.machine.packets import COMMAND, HELLO, MAX_PACKET, READINGS, STOP, Packet, Receiver
+from flexman_gym.common.checks import mapping, one_of, positive, value_error, whole_number
+from flexman_gym.evaluation.machine.clock import Clock, MonotonicClock
+from flexman_gym.evaluation.machine.packets import (
+    COMMAND,
+    COPIES,
+    HELLO,
+    MAX_PACKET,
+    READINGS,
+    STOP,
+    VERSION,
+    Packet,
+    Receiver,
+    other_version,
+)
 from flexman_gym.model.linearization import MEASUREMENT_UNITS
 
 UNITS = MEASUREMENT_UNITS | {"torques": "N m", "state": "rad, m, rad/s, m/s"}  # quantity of a machine -> unit
 COMMAND_UNITS = ("N m", "A")
 LOCALHOST = "127.0.0.1"
 HELLO_SECONDS = 10.0  # s; time in which a machine must answer
-STOP_PACKETS = 3  # number of STOP packets, as each of them may be lost
+REPEAT_SECONDS = 0.2  # s; time between two hellos
+READ_INTERVAL = 3e-4  # s; time between two attempts to read while nothing else is to be done, more than `clock.SPIN`
+STOP_COPIES = 20  # copies of the order to stop; one of them arrives even if four of five packets are lost
+MAX_SENT = 1000  # commands whose times are remembered
+MAX_VALUES = 4096  # values of a quantity in readings
+
+
+class Receipt(NamedTuple):
+    """Transport of the newest readings of a machine.
+
+    Attributes:
+        number: number of the control period of the machine at whose end the readings were sampled.
+        time: time of the sample, s, by the clock of the machine.
+        sampled: earliest possible time of the sample, s, by the clock of the loop: the time at which the newest packet
+            that the machine had received was sent, plus the time from its arrival to the sample.
+        behind: number of commands that were written after the newest command that the machine had received.
+        arrived: number of packets that have arrived, with all copies.
+    """
+
+    number: int
+    time: float
+    sampled: float
+    behind: int
+    arrived: int
 
 
 @runtime_checkable
@@ -27,8 +62,9 @@ class Machine(Protocol):
     """Robot arm with n motors, driven by `flexman drive`. A class with these members needs no base class.
 
     The machine holds its arm with brakes until the first command, and brings it to rest if it receives no command for
-    some control periods, or after `stop`. The optional attribute `clock`, with the methods of `drive.MonotonicClock`,
-    is the clock of a machine that does not move in real time.
+    some control periods, or after `stop`. Two attributes are optional. `clock`, with the methods of
+    `clock.MonotonicClock`, is the clock of a machine that does not move in real time. `receipt` is the `Receipt` of the
+    newest readings; without it their age and period are not tested.
 
     Attributes:
         period: control period, s.
@@ -78,25 +114,30 @@ class Machine(Protocol):
         ...
 
 
-class UdpMachine:
-    """Machine behind UDP, see `machine.packets`.
+class Link(Protocol):
+    """Connection to a machine that transports packets."""
 
-    Args:
-        address: "udp:HOST:PORT"; "udp:PORT" for this computer.
-        wanted: names of quantities to ask for.
+    def send(self, data: bytes) -> object:
+        """Send a packet; OSError if the machine is gone."""
+        ...
 
-    Attributes:
-        period: control period, s.
-        unit: unit of the commands.
-        quantities: name -> number of values.
-        receiver: receiver of the readings, with the counts of packets.
+    def receive(self) -> bytes | None:
+        """Return a packet that has arrived; None without one."""
+        ...
+
+    def close(self) -> None:
+        """Close the connection."""
+        ...
+
+
+class UdpLink:
+    """Connection to the address "udp:HOST:PORT"; "udp:PORT" for this computer.
 
     Raises:
-        OSError: for a machine that does not answer.
-        ValueError: for an address of another form, and for an answer that is not allowed.
+        ValueError: for an address of another form.
     """
 
-    def __init__(self, address: str, wanted: Sequence[str] = tuple(MEASUREMENT_UNITS)) -> None:
+    def __init__(self, address: str) -> None:
         kind, _, place = address.partition(":")
         host, _, port = place.rpartition(":")
         if kind != "udp" or not port.isdecimal() or not 0 < int(port) < 2**16:
@@ -107,50 +148,97 @@ class UdpMachine:
         except OSError as error:
             self._socket.close()
             raise value_error("machine", address, f"the name or address of a computer ({error.strerror})") from None
-        self.receiver, self._sequence = Receiver(randbits(32)), 0
-        answer = self._greet(address, wanted)
         self._socket.setblocking(False)
+        self.send, self.close = self._socket.send, self._socket.close
+
+    def receive(self) -> bytes | None:
+        """Return a packet that has arrived; None without one."""
+        with suppress(OSError):  # no packet, or the machine is gone
+            return self._socket.recv(MAX_PACKET)
+        return None
+
+
+class UdpMachine:
+    """Machine behind UDP, see `machine.packets`.
+
+    Args:
+        address: address of the machine, see `UdpLink`.
+        wanted: names of quantities to ask for.
+        connect: function that opens the connection to an address.
+        clock: clock of the loop.
+
+    Attributes:
+        period: control period, s.
+        unit: unit of the commands.
+        quantities: name -> number of values.
+        receiver: receiver of the readings, with the counts of packets.
+        receipt: transport of the newest readings; None before the first.
+        clock: clock of the loop.
+
+    Raises:
+        OSError: for a machine that does not answer.
+        ValueError: for an address of another form, and for an answer that is not allowed.
+    """
+
+    def __init__(
+        self,
+        address: str,
+        wanted: Sequence[str] = tuple(MEASUREMENT_UNITS),
+        connect: Callable[[str], Link] = UdpLink,
+        clock: Clock | None = None,
+    ) -> None:
+        self.clock, self._link = clock or MonotonicClock(), connect(address)
+        self.receiver, self.receipt = Receiver(randbits(32)), None
+        self._sequence, self._commands = 0, 0
+        self._sent: deque[tuple[int, float, int]] = deque(maxlen=MAX_SENT)  # sequence number, time (s), commands so far
         try:
-            self.period, self.unit = float(answer["period"]), one_of("unit", answer["unit"], COMMAND_UNITS)
-            self.quantities = {name: int(size) for name, (size, _) in answer["quantities"].items()}
-            self._ends = np.cumsum(list(self.quantities.values()), dtype=int).tolist()
-            for name, (_, unit) in answer["quantities"].items():
-                one_of(f"the unit of {name}", unit, (UNITS[one_of("quantities", name, UNITS)],))
-        except (KeyError, TypeError, ValueError) as error:
-            self._socket.close()
-            raise ValueError(f"{address}: the answer of the machine is not allowed ({error})") from None
+            answer = self._greet(address, wanted)
+            self.period, self.unit, self.quantities = _checked_answer(address, answer)
+        except BaseException:
+            self._link.close()
+            raise
+        self._ends = np.cumsum(list(self.quantities.values()), dtype=int).tolist()
 
-    def _greet(self, address: str, wanted: Sequence[str]) -> dict[str, Any]:
+    def _greet(self, address: str, wanted: Sequence[str]) -> Packet:
         """Return the answer of the machine to HELLO."""
-        self._socket.settimeout(0.2)
-        end = time.monotonic() + HELLO_SECONDS
-        while time.monotonic() < end:
-            try:
+        end = self.clock.now() + HELLO_SECONDS
+        while (now := self.clock.now()) < end:
+            with suppress(OSError):  # no machine yet
                 self._send(HELLO, json.dumps({"quantities": list(wanted)}).encode())
-                packet = Packet.decode(self._socket.recv(MAX_PACKET))
+            while self.clock.now() < now + REPEAT_SECONDS:
+                if (data := self._link.receive()) is None:
+                    self.clock.wait(self.clock.now() + READ_INTERVAL)
+                    continue
+                if (version := other_version(data)) is not None:
+                    text = f"{address}: the machine sends packets of version {version}"
+                    raise ValueError(f"{text} of the format; give one that sends version {VERSION}")
+                packet = Packet.decode(data)
                 if packet is not None and (packet.kind, packet.session) == (HELLO, self.receiver.session):
-                    return dict(json.loads(packet.payload))
-            except (OSError, ValueError):  # no machine yet, or an answer of another program
-                time.sleep(0.02)
-        self._socket.close()
-        raise OSError(f"{address}: no machine answers within {HELLO_SECONDS:g} s")
+                    return packet
+        text = f"{address}: no machine answers within {HELLO_SECONDS:g} s"
+        raise OSError(f"{text}; packets have version {VERSION} of the format")
 
-    def _send(self, kind: int, payload: bytes = b"") -> None:
+    def _send(self, kind: int, payload: bytes = b"", copies: int = 1) -> None:
         self._sequence += 1
-        self._socket.send(Packet(kind, self.receiver.session, self._sequence, time.monotonic(), payload).encode())
+        now, receiver = self.clock.now(), self.receiver
+        self._sent.append((self._sequence, now, self._commands))
+        dwell = now - receiver.arrival if receiver.newest else 0.0
+        packet = Packet(kind, receiver.session, self._sequence, now, payload, receiver.newest, dwell).encode()
+        for _ in range(copies):
+            self._link.send(packet)
 
     def read(self) -> dict[str, Array] | None:
         """Return the readings of the newest packet; None without a new packet."""
         newest = None
-        while True:
-            try:
-                packet = self.receiver.accept(self._socket.recv(MAX_PACKET))
-            except OSError:  # no further packet, or the machine is gone
-                break
+        while (data := self._link.receive()) is not None:
+            packet = self.receiver.accept(data, self.clock.now())
             if packet is not None and packet.kind == READINGS and len(packet.payload) == 8 * self._ends[-1]:
                 newest = packet
         if newest is None:
             return None
+        sent, commands = next(((time, count) for each, time, count in self._sent if each == newest.echo), (-np.inf, 0))
+        behind, arrived = self._commands - commands, self.receiver.arrived
+        self.receipt = Receipt(newest.sequence, newest.time, sent + newest.dwell, behind, arrived)
         values = newest.values
         return {
             name: values[end - size : end]
@@ -159,17 +247,37 @@ class UdpMachine:
 
     def write(self, commands: Array) -> None:
         """Send the commands (n,)."""
-        self._try_send(COMMAND, np.asarray(commands, dtype="<f8").tobytes())
+        self._commands += 1
+        self._try_send(COMMAND, COPIES, np.asarray(commands, dtype="<f8").tobytes())
 
     def stop(self) -> None:
         """Send the order to stop."""
-        for _ in range(STOP_PACKETS):
-            self._try_send(STOP)
+        self._try_send(STOP, STOP_COPIES)
 
-    def _try_send(self, kind: int, payload: bytes = b"") -> None:
+    def _try_send(self, kind: int, copies: int, payload: bytes = b"") -> None:
         with suppress(OSError):  # of a machine that is gone, which the loop finds by its silence
-            self._send(kind, payload)
+            self._send(kind, payload, copies)
 
     def close(self) -> None:
-        """Close the socket."""
-        self._socket.close()
+        """Close the connection."""
+        self._link.close()
+
+
+def _checked_answer(address: str, packet: Packet) -> tuple[float, str, dict[str, int]]:
+    """Return control period (s), unit of the commands, and quantities of an answer to HELLO."""
+    try:
+        if not packet.echo:
+            raise value_error("echo", packet.echo, "the sequence number of the hello")
+        answer = mapping("hello", json.loads(packet.payload), ("period", "unit", "quantities"))
+        period, unit = positive("period", answer.get("period"), "s"), one_of("unit", answer.get("unit"), COMMAND_UNITS)
+        quantities = {}
+        for name, entry in mapping("quantities", answer.get("quantities"), tuple(UNITS)).items():
+            if not isinstance(entry, list) or len(entry) != 2:
+                raise value_error(f"quantities.{name}", entry, "a list of size and unit")
+            quantities[name] = whole_number(f"quantities.{name}[0]", entry[0], 1, MAX_VALUES)
+            one_of(f"quantities.{name}[1]", entry[1], (UNITS[name],))
+        if not quantities:
+            raise value_error("quantities", {}, "at least motor_angles")
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"{address}: the answer of the machine is not allowed ({error})") from None
+    return period, unit, quantities

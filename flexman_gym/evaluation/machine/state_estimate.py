@@ -26,6 +26,9 @@ class StateEstimate:
         model: model of the arm.
         names: names of the measured quantities.
         period: control period, s.
+
+    Attributes:
+        complete: True if the readings show the deflections of all elastic joints and links, or the whole state.
     """
 
     def __init__(self, model: Model, names: Mapping[str, int], period: float) -> None:
@@ -43,6 +46,10 @@ class StateEstimate:
         stiff = rigid.T @ angles
         self._matrix = stiff + bent @ (np.eye(len(measured)) - measured @ stiff)
         self._last: Array | None = None
+        constants = model.constants
+        springs = "joint_twists" in names or not (constants.motor >= 0).any()
+        links = {"link_deflections", "root_strains"} & set(names) or not len(elastic) > (constants.motor >= 0).sum()
+        self.complete = "state" in names or bool(springs and links)
 
     def state(self, readings: Mapping[str, Array]) -> Array:
         """Return the state (2 d,) of readings, name -> values; a given state is returned."""
