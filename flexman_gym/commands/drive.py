@@ -1,18 +1,24 @@
 """Drive a machine, or a simulated one, by an agent in real time.
 
-The arm is brought to rest at the end and at each fault, such as missing or impossible readings. The exit status is 1
-after a fault. For deadlines that are kept on a busy computer: chrt -f 50 flexman drive ...
+The arm is brought to rest at the end, at Ctrl+C and SIGTERM, and at each fault, such as readings that are missing,
+late or impossible, or contradict the commands. The exit status is 1 after a fault. For deadlines that are kept on a
+busy computer: chrt -f 50 flexman drive ...
 """
 
 import argparse
 import math
+import tempfile
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from flexman_gym.commands import CommandLine, add_options, load_agent, numbers
+from flexman_gym.commands import CommandLine, add_options, load_agent, numbers, output_file
+from flexman_gym.common.files import check_output
 
 if TYPE_CHECKING:
     from flexman_gym.simulation.episode import Episode
+
+DEFAULT_LOG = "drive"  # name of a log without --out
+MAX_LOGS = 10_000  # logs of this name in a folder
 
 
 def _arguments(parser: argparse.ArgumentParser) -> None:
@@ -31,8 +37,9 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
         help="control periods without readings or commands after which the arm is stopped (default: %(default)s)",
     )  # fmt: skip
     parser.add_argument(
-        "--out", type=Path, metavar="FILE", default=Path("drive.npz"), help="log (default: %(default)s)"
-    )
+        "--out", type=output_file, metavar="FILE",
+        help="log (default: drive.npz, or drive-2.npz and so on: an earlier log is kept)",
+    )  # fmt: skip
     parser.add_argument(
         "--jitter", type=float, default=0.0, metavar="T", help="mean random delay of the readings of sim:, s"
     )
@@ -49,6 +56,7 @@ def _run(options: argparse.Namespace) -> int:
     from flexman_gym.evaluation.machine.drive import drive
     from flexman_gym.evaluation.machine.simulated import Disturbances, SimulatedMachine
 
+    out = options.out or _free_log()
     agent, kind = load_agent(options.agent, options.trust), options.machine.partition(":")[0]
     move = {"goal_angles": options.goal} if options.goal else {}
     given = options.seed, options.seconds, move, options.silence
@@ -61,16 +69,43 @@ def _run(options: argparse.Namespace) -> int:
         raise value_error("machine", options.machine, "sim:ENVIRONMENT, udp:HOST:PORT, or udp:PORT on this computer")
     else:
         log = drive(agent, options.machine, options.env, *given)
-    log.save(options.out)
-    loop, rest = log.about["machine"], log.about["machine"]["rest_seconds"]
+    out = _save(log, out)
+    loop = log.about["machine"]
     median, longest = (1e3 * each for each in loop["lateness"])
     print(f"{log.name}: {log.about['failure'] or 'completed'} after {log.time[-1]:.2f} s")
     print(_outcome(log))
     print(f"  {loop['periods']} periods of {1e3 * log.period:g} ms, late by {median:.3f} ms (at most {longest:.3g} ms)")
     print(f"  {loop['missed']:.2%} of the torques missed, {loop['silent']} periods without new readings")
-    print("  the machine does not answer" if rest is None else f"  motors at rest {rest:.2f} s after the stop")
-    print(f"{options.out}: to go on: flexman replay {options.out}, flexman why {options.out}, or fm.fit")
+    print(f"  {_rest(loop)}")
+    print(f"{out}: to go on: flexman replay {out}, flexman why {out}, or fm.fit")
     return 1 if log.about["failure"] else 0
+
+
+def _free_log() -> Path:
+    """Return the path of a log in this folder that does not exist, after checking that it can be written."""
+    names = [f"{DEFAULT_LOG}.npz", *(f"{DEFAULT_LOG}-{number}.npz" for number in range(2, MAX_LOGS))]
+    return check_output(next(path for path in map(Path, names) if not path.exists()))
+
+
+def _save(log: "Episode", path: Path) -> Path:
+    """Write the log and return its path: another one in the temporary folder if the disk became full meanwhile."""
+    try:
+        return log.save(path)
+    except OSError as error:
+        other = log.save(Path(tempfile.mkdtemp(prefix="flexman-")) / path.name)
+        print(f"{path}: {error.strerror}; the log is in {other}")
+        return other
+
+
+def _rest(loop: dict[str, Any]) -> str:
+    """Return a text with the times at which motors and tip came to rest after the stop, or with their last speeds."""
+    if loop["motor_rate"] is None:
+        return "rest after the stop is not known: the machine sends no readings of the rates that can be trusted"
+    motors, tip, speed = loop["rest_seconds"], loop["tip_rest_seconds"], loop["tip_speed"]
+    first = f"motors still at {loop['motor_rate']:.2g} rad/s" if motors is None else f"motors at rest {motors:.2f} s"
+    if speed is None:
+        return f"{first} after the stop; the speed of the tip is not measured"
+    return f"{first} and tip {f'still at {speed:.2g} m/s' if tip is None else f'at rest {tip:.2f} s'} after the stop"
 
 
 def _outcome(log: "Episode") -> str:

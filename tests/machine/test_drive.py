@@ -10,8 +10,10 @@ from flexman_gym.control import PD
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation.agent import AgentSpec, find_agent
 from flexman_gym.evaluation.diagnosis import diagnose, diagnose_log
-from flexman_gym.evaluation.machine.drive import MEASURED, REST_RATE, WARM_UP, drive
-from flexman_gym.evaluation.machine.simulated import SILENT_PERIODS, Disturbances, SimulatedMachine
+from flexman_gym.evaluation.machine.drive import MEASURED, WARM_UP, drive
+from flexman_gym.evaluation.machine.rest import RestSpeeds
+from flexman_gym.evaluation.machine.server import Disturbances
+from flexman_gym.evaluation.machine.simulated import SILENT_PERIODS, SimulatedMachine
 from flexman_gym.evaluation.machine.state_estimate import StateEstimate
 from flexman_gym.evaluation.rollout import RolloutLoop, rollout
 from flexman_gym.model.linearization import LinearMeasurements
@@ -24,6 +26,7 @@ ENVIRONMENT = Configuration.find("FlexOne-v0").replace(
 WARMED = min(WARM_UP, ENVIRONMENT.max_periods)  # control periods that an agent acts before the start
 ENCODERS = ("motor_angles", "motor_rates", "torques")
 LAB = (*MEASURED, "torques")
+REST = RestSpeeds(fm.build_model(ENVIRONMENT.arm), np.array(ENVIRONMENT.torque_limit)).motors  # rad/s
 
 
 def run(agent, machine, **more):
@@ -145,7 +148,7 @@ def raising():
 def test_the_arm_has_not_stopped_by_itself_at_the_time_of_the_faults():
     machine = FakeMachine(ENVIRONMENT, 9000, ENCODERS)
     run("pd", machine, seconds=0.2)
-    assert np.abs(machine.path[9][1]).max() > 4 * REST_RATE * ENVIRONMENT.limits.rate
+    assert np.abs(machine.path[9][1]).max() > 4 * REST
 
 
 @pytest.mark.parametrize(
@@ -169,7 +172,7 @@ def test_each_fault_is_reported_and_ends_at_rest_within_the_limits(fault, agent,
 
 def _assert_rest(machine):
     angles, rates, torques = (np.array(each) for each in zip(*machine.path, strict=True))
-    assert machine.arm.reason and np.abs(rates[-1]).max() <= REST_RATE * ENVIRONMENT.limits.rate
+    assert machine.arm.reason and np.abs(rates[-1]).max() <= REST
     assert np.abs(torques).max() <= 0.5 and np.abs(angles).max() <= ENVIRONMENT.limits.angle
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from flexman_gym.evaluation.machine.packets import COMMAND, HELLO, READINGS, STOP, Packet, Receiver
+from flexman_gym.evaluation.machine.packets import COMMAND, HELLO, READINGS, STOP, Packet, Receiver, other_version
 
 
 def reading(sequence, time=None, session=7, values=(1.0, -2.5e-9)):
@@ -20,7 +20,7 @@ def counts(receiver):
     "payload", [b"", b'{"quantities": ["motor_angles"]}', np.array([np.pi, -0.0, np.nan]).tobytes()]
 )
 def test_a_packet_is_read_back_to_the_bit(kind, payload):
-    packet = Packet(kind, 2**32 - 1, 12345, 1.25, payload)
+    packet = Packet(kind, 2**32 - 1, 2**64 - 1, 1.25, payload, 2**63, 0.5)
     assert Packet.decode(packet.encode()) == packet
 
 
@@ -61,3 +61,23 @@ def test_packets_of_a_frozen_clock_are_refused():
     ]
     assert accepted == [True, False, False, True]
     assert counts(receiver) == {"accepted": 2, "frozen": 2}
+
+
+def test_all_copies_are_counted_as_arrived_and_the_first_has_the_time_of_the_arrival():
+    receiver = Receiver(7)
+    for now, sequence in enumerate((1, 1, 1, 3, 2, 3)):
+        receiver.accept(reading(sequence), float(now))
+    assert (receiver.arrived, receiver.newest, receiver.arrival) == (6, 3, 3.0)
+    assert counts(receiver) == {"accepted": 2, "late": 1, "repeated": 3}
+
+
+def test_a_jump_to_the_largest_sequence_number_is_accepted_once_and_nothing_after_it():
+    receiver = Receiver(7)
+    assert receiver.accept(reading(2**64 - 1)) is not None
+    assert receiver.accept(reading(5, 6.0)) is None and receiver.accept(reading(2**64 - 1, 7.0)) is None
+
+
+def test_a_packet_of_another_version_is_no_packet_but_known_as_one():
+    data = reading(1)
+    assert other_version(data) is None and other_version(b"") is None and other_version(b"XM\x01") is None
+    assert other_version(data[:2] + b"\x01" + data[3:]) == 1

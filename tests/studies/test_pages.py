@@ -13,7 +13,7 @@ from studies.control.page import page as control_page
 from studies.derivatives.costs import CostRow
 from studies.derivatives.measure import DerivativeRow
 from studies.derivatives.page import page as derivatives_page
-from studies.drive.measure import FaultRow, LoopRow, RoundTripRow
+from studies.drive.measure import FaultRow, LoopRow, RoundTripRow, UndisturbedRow
 from studies.drive.page import page as drive_page
 from studies.faults import Fault
 from studies.faults import page as faults_page
@@ -60,7 +60,8 @@ SCREENS = {  # page -> function of its rows, and files and types of the rows
     "arm_design": (arm_design_page, {"arm_design": DesignRow, "arm_design_profiles": ProfileRow}),
     "benchmark": (benchmark_page, {"benchmark": BenchmarkRow, "endurance": EnduranceRow}),
     "derivatives": (derivatives_page, {"derivatives": DerivativeRow, "derivatives_costs": CostRow}),
-    "drive": (drive_page, {"drive": LoopRow, "drive_faults": FaultRow, "drive_fits": RoundTripRow}),
+    "drive": (drive_page, {"drive": LoopRow, "drive_faults": FaultRow, "drive_undisturbed": UndisturbedRow,
+                            "drive_fits": RoundTripRow}),
     "faults": (faults_page, {"faults": Fault}),
     "fidelity": (fidelity_page, {"fidelity": FidelityRow, "fidelity_open": FidelityRow}),
     "machine": (machine_page, {"machine": FitRow}),

@@ -3,6 +3,7 @@
 import gc
 import signal
 import threading
+import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing, contextmanager, nullcontext
 from dataclasses import asdict, replace
@@ -87,8 +88,9 @@ def drive(
     Returns:
         Log, with statistics at `about["machine"]`: number of "periods", "lateness" at their deadlines, median and
         maximum (s), median "delay" of the torques after the deadlines (s), share "missed" of the torques that were sent
-        when the next readings had arrived, "silent" periods without new readings, "received" packets (`packets.Counts`)
-        and what `rest.RestWait` returns: the times from the stop to the rest of motors and tip, and their last speeds.
+        when the next readings had arrived, "silent" periods without new readings, median computing time of a "test" of
+        the values of readings (s), which begins when the torques are sent, "received" packets (`packets.Counts`) and
+        what `rest.RestWait` returns: the times from the stop to the rest of motors and tip, and their last speeds.
 
     Raises:
         OSError: for a machine that does not answer.
@@ -150,8 +152,7 @@ class _Loop:
         self._rows: list[Mapping[str, Array]] = []
         self._no_readings = {name: np.full(size, np.nan) for name, size in machine.quantities.items()}
         self._commands: list[Array] = []  # N m
-        self._tested = _Tested(getattr(machine, "receipt", None))
-        self._timing = TimingTest(self._period, silence)
+        self._timing, self._test_times = TimingTest(self._period, silence), list[float]()
         self._first = self._first_readings()
         self._now = {name: np.median([each[name] for each in self._first], axis=0) for name in machine.quantities}
 
@@ -173,12 +174,12 @@ class _Loop:
 
     def _first_readings(self) -> list[dict[str, Array]]:
         """Return the readings of the braked arm; ValueError for readings that are late or of another period."""
-        readings, receipts = [], list[Receipt]()
+        readings, receipts = [], list[tuple[Receipt, float]]()
         for _ in range(START_READINGS):
             readings.append(self._new_readings())
             if (receipt := getattr(self._machine, "receipt", None)) is not None:
-                receipts.append(receipt)
-        if wrong := self._timing.start(receipts, self._clock.now()):
+                receipts.append((receipt, self._clock.now()))
+        if wrong := self._timing.start(receipts):
             raise value_error("machine", wrong, f"new ones every {1e3 * self._period:g} ms")
         for name, values in readings[-1].items():
             if values.shape != (self._machine.quantities[name],) or not np.isfinite(values).all():
@@ -297,6 +298,9 @@ class _Loop:
         if not self._lateness:  # the deadlines follow the packets of the machine, which then have arrived
             self._machine.read()
             self._new_readings()
+            receipt = getattr(self._machine, "receipt", None)
+            self._timing.begin(receipt)
+            self._tested = _Tested(receipt)
             self._deadline = self._clock.now() + self._phase
             self._clock.wait(self._deadline)
         self._machine.write(torques / self._scale)
@@ -329,12 +333,15 @@ class _Loop:
 
     def _test_readings(self) -> None:
         """Test the values of the readings of the last deadline, if there were new ones."""
+        if (readings := self._tested.readings) is None:
+            return
+        begin = time.perf_counter()
         for torques in self._tested.periods(self._commands):
             self._innovations.advance(torques)
-        if (readings := self._tested.readings) is not None:
-            self._tested.readings = None
-            self._doubt = self._innovations.check(readings)
-            self.fault = self.fault or self._doubt
+        self._tested.readings = None
+        self._doubt = self._innovations.check(readings)
+        self.fault = self.fault or self._doubt
+        self._test_times.append(time.perf_counter() - begin)
 
     def _late_readings(self) -> Mapping[str, Any] | None:
         """Return readings that arrive up to half a period late, and let the deadlines follow them; None without any.
@@ -381,6 +388,7 @@ class _Loop:
             "periods": len(self._lateness), "lateness": [float(np.median(late)), float(late.max())],
             "delay": float(np.median(delays)), "missed": float(np.mean(delays > self._period - self._phase)),
             "silent": int(np.isnan(raw["motor_angles"]).all(axis=1).sum()),
+            "test": float(np.median(self._test_times or [np.nan])),
             "received": asdict(receiver.counts) if receiver else {}, **rest,
         }  # fmt: skip
         about = {"units": episode.about["units"] | {name: UNITS[name] for name in raw}, "machine": statistics}

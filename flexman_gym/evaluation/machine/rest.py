@@ -15,7 +15,7 @@ from flexman_gym.model.model import Model
 REST_SLEWS, MAX_SLEWS = 0.25, 6.0  # slew times; shortest time at rest, and longest wait for it
 SILENT_STOP = 10  # multiple of `silence` after which a machine does not answer
 REST = ("rest_seconds", "motor_rate", "tip_rest_seconds", "tip_speed")  # entries of the result of `RestWait`
-DEVIATIONS = 4.0  # standard deviations of the noise of a speed
+DEVIATIONS = 6.0  # standard deviations of the noise of a speed, which is a magnitude
 
 
 def noise_level(speeds: Array) -> float:

@@ -44,7 +44,7 @@ class Disturbances:
             by 50 periods, or runs twice as fast. Of the values: "nan", all values, the encoders or those of the last
             joint stand still, the rates of the motors have the wrong sign, their angles jump by 0.25 rad, they are in
             degrees, the joints are in the wrong order, a torque is 2000 times its limit.
-        fault_time: time of the fault after the first command, s.
+        fault_time: time of the fault after the first command, s; 0 for a fault from the start of the machine on.
     """
 
     jitter: float = 0.0
@@ -96,7 +96,7 @@ class MachineServer:
         self._due: list[tuple[float, int, bytes]] = []  # packets by the times at which they are sent
         self._sent: list[bytes] = []
         self._at_fault: Readings | None = None
-        self._silent, self._periods, self._count, self._stands = 0, 0, 0, 0.0
+        self._silent, self._periods, self._ticks, self._count, self._stands = 0, 0, 0, 0, 0.0
         self._rows: list[tuple[float, int, Array, Array, Array, Array]] = []
 
     @property
@@ -190,7 +190,8 @@ class MachineServer:
         if fault in VALUE_FAULTS:
             assert self._at_fault is not None
             VALUE_FAULTS[fault](values, self._at_fault, self.arm.limits)
-        if fault == "silent" or (fault == "slow" and self._periods % 2):
+        self._ticks += 1
+        if fault == "silent" or (fault == "slow" and self._ticks % 2):
             return
         payload = np.concatenate(list(values.values())).tobytes()
         late = LATE * self._period if fault == "late" else 0.0

@@ -11,9 +11,10 @@ from flexman_gym.evaluation.machine.packets import COPIES
 
 MAX_AGE = 2.0  # control periods; age of readings at a deadline beyond which they are late
 SPAN = 5  # control periods in which a wrong period or clock is noticed
-LONG, SLOW_INTERVALS = 1.5, 2  # control periods between two samples, and successive ones, of a machine that is slow
-FAST_ADVANCE = 2 * SPAN - 1  # control periods of the machine in SPAN periods; jitter alone adds two or three to SPAN
+LONG = 1.5  # control periods between two samples of a machine that is slow; 1 / LONG of one that is fast
+SLOW, FAST = 2, 3  # readings in a row with such a period; a machine that was held up once catches up
 MAX_DRIFT = 2.0  # control periods in SPAN readings by which the clocks of loop and machine may diverge
+DRIFTS = 2  # readings in a row with such a difference
 FEWEST = 1 / 3  # share of the packets below which a connection is not fit for control
 HEARD = 3  # control periods, of which one has new readings, of a machine that is not silent
 FEW = 5  # control periods for each new readings beyond which a connection without receipts is not fit for control
@@ -33,40 +34,35 @@ class TimingTest:
 
     def __init__(self, period: float, silence: int) -> None:
         self._period, self._silence = period, silence
-        self._receipt: Receipt | None = None
-        self._late, self._slow, self._drifts = 0, 0, 0
-        self._receipts: deque[Receipt] = deque(maxlen=SPAN + 1)
-        self._numbers: deque[int] = deque(maxlen=SPAN + 1)  # of the newest readings at the deadlines
-        self._arrived: deque[int] = deque(maxlen=silence + 1)  # packets so far at the deadlines
-        self._fresh: deque[bool] = deque(maxlen=silence)  # deadlines with new readings
+        self.begin(None)
 
-    def start(self, receipts: Sequence[Receipt], now: float) -> str:
+    def begin(self, receipt: Receipt | None) -> None:
+        """Begin the tests at the first deadline; `receipt` is that of the newest readings, None without one."""
+        self._receipt = receipt
+        self._late, self._slow, self._fast, self._drifts = 0, 0, 0, 0
+        first = [] if receipt is None else [receipt]
+        self._receipts = deque(first, SPAN + 1)
+        self._arrived = deque((each.arrived for each in first), self._silence + 1)  # packets so far at the deadlines
+        self._fresh: deque[bool] = deque(maxlen=self._silence)  # deadlines with new readings
+
+    def start(self, receipts: Sequence[tuple[Receipt, float]]) -> str:
         """Return what is wrong with the readings before the first command; "" if nothing is.
 
         Args:
-            receipts: receipts of successive readings, the last of which were read now.
-            now: present time, s.
+            receipts: receipts of successive readings, and the times at which they were read, s.
         """
         if not receipts:
             return ""
-        self._begin(receipts[-1])
-        if not np.isfinite(receipts[-1].sampled):
+        age = min(now - each.sampled for each, now in receipts) / self._period
+        if not np.isfinite(age):
             return "readings that do not echo the sequence numbers of the packets of the loop"
-        age = (now - receipts[-1].sampled) / self._period
         if not -1.0 <= age <= MAX_AGE:
             return f"readings that are {1e3 * age * self._period:.3g} ms old"
-        steps = [(new.time - old.time) / (new.number - old.number) for old, new in pairwise(receipts)]
-        ratio = float(np.median(steps)) / self._period if steps else 1.0
+        steps = [(new.time - old.time) / (new.number - old.number) for (old, _), (new, _) in pairwise(receipts)]
+        ratio = float(np.median(steps)) / self._period
         if not 1.0 / LONG < ratio < LONG:
             return f"readings every {1e3 * ratio * self._period:.3g} ms"
         return ""
-
-    def _begin(self, receipt: Receipt) -> None:
-        """Begin the tests with the newest readings."""
-        self._receipt = receipt
-        self._receipts.append(receipt)
-        self._numbers.append(receipt.number)
-        self._arrived.append(receipt.arrived)
 
     def check(self, receipt: Receipt | None, fresh: bool, now: float) -> str:
         """Return what is wrong at a deadline; "" if nothing is.
@@ -80,7 +76,7 @@ class TimingTest:
         if receipt is None or self._receipt is None:
             few = fresh and len(self._fresh) == self._silence and FEW * sum(self._fresh) <= self._silence
             return f"new readings in {sum(self._fresh)} of {self._silence} control periods only" if few else ""
-        return self._age(receipt, now) or self._clock(receipt, fresh) or self._number(receipt)
+        return self._age(receipt, now) or self._clock(receipt, fresh) or self._losses(receipt)
 
     def _age(self, receipt: Receipt, now: float) -> str:
         """Return a text if the readings are old for several deadlines."""
@@ -102,20 +98,17 @@ class TimingTest:
         drift = ((receipt.time - first.time) - (receipt.sampled - first.sampled)) / self._period
         self._drifts = 0 if abs(drift) <= MAX_DRIFT else self._drifts + 1
         self._slow = self._slow + 1 if step > LONG else 0
-        if self._drifts >= 2:
+        self._fast = self._fast + 1 if step < 1.0 / LONG else 0
+        if self._slow >= SLOW or self._fast >= FAST:
+            return f"the machine stamps a sample every {1e3 * step * self._period:.3g} ms, not {1e3 * self._period:g} ms"
+        if self._drifts >= DRIFTS:
             count = len(self._receipts) - 1
             return f"the clock of the machine is wrong by {1e3 * drift * self._period:.3g} ms in {count} readings"
-        if self._slow >= SLOW_INTERVALS:
-            return f"the machine stamps a sample every {1e3 * step * self._period:.3g} ms, not {1e3 * self._period:g} ms"
         return ""
 
-    def _number(self, receipt: Receipt) -> str:
-        """Return a text for too many readings or too few packets."""
-        self._numbers.append(receipt.number)
+    def _losses(self, receipt: Receipt) -> str:
+        """Return a text if too few packets arrive."""
         self._arrived.append(receipt.arrived)
-        advance = self._numbers[-1] - self._numbers[0]
-        if advance >= FAST_ADVANCE:
-            return f"the machine sends readings {advance} times in {len(self._numbers) - 1} control periods"
         expected, arrived = COPIES * (len(self._arrived) - 1), self._arrived[-1] - self._arrived[0]
         heard = any(list(self._fresh)[-HEARD:])  # a machine that is silent is another fault
         if heard and len(self._arrived) > self._silence and arrived <= FEWEST * expected:

@@ -17,9 +17,14 @@ from flexman_gym.common.arrays import Array
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.evaluation.agent import find_agent
-from flexman_gym.evaluation.machine.drive import REST_RATE, WARM_UP, MonotonicClock, drive
+from flexman_gym.evaluation.machine.arm import STOPPING
+from flexman_gym.evaluation.machine.clock import MonotonicClock
+from flexman_gym.evaluation.machine.drive import WARM_UP, drive, wanted_quantities
 from flexman_gym.evaluation.machine.machine import UdpMachine
-from flexman_gym.evaluation.machine.simulated import STOPPING, Disturbances, SimulatedMachine
+from flexman_gym.evaluation.machine.rest import RestSpeeds
+from flexman_gym.evaluation.machine.server import Disturbances
+from flexman_gym.evaluation.machine.simulated import SimulatedMachine
+from flexman_gym.evaluation.machine.virtual import VirtualMachine
 from flexman_gym.evaluation.rollout import TEST_SEEDS, rollout
 from flexman_gym.metrics import settling_time
 from flexman_gym.metrics.statistics import median_interval, upper_median
@@ -27,10 +32,14 @@ from flexman_gym.model.linearization import LinearMeasurements
 from flexman_gym.simulation.episode import Episode
 
 FAULT_TIME = {"FlexRRR-v0": 1.0, "FlexRotary-v0": 0.3}  # s; in the middle of the slews
+FAULT_LOOPS = {"pd": "FlexRRR-v0", "adaptive-lqr": "FlexRRR-v0", "lqg": "FlexRotary-v0"}  # agent -> environment
+UNDISTURBED = ("pd", "adaptive-lqr")  # agents of the undisturbed runs
+UNCERTAIN = "FlexRRR-v0/uncertain"  # environment of these runs
+JITTER, LOST = 0.5, 0.1  # in these runs: mean delay of the readings, control periods; probability of a lost packet
 LOOPS = {"adaptive-lqr": ("FlexRRR-v0", 7.0), "lqg": ("FlexRotary-v0", 3.0)}  # agent -> environment, duration (s)
 PRIORITY = 50  # of SCHED_FIFO
 WINDOW = 1.5  # s; end of an episode in which the vibration is measured
-AFTER = 6.0  # s; time for which an arm is watched after its agent was killed
+AFTER = 15.0  # s; time for which an arm is watched after a stop that no loop watches
 NOISE = 1e-4  # fraction of the range of each sensor
 LOSS = 0.01  # probability of a lost packet
 
@@ -66,13 +75,29 @@ class FaultRow:
     """Row of a fault of a loop; nan for an arm that is gone with its process."""
 
     fault: str
+    agent: str
     environment: str
     reported: str  # by the loop
     reason: str  # by the machine
+    noticed: float  # control periods from the first wrong readings to the last deadline of the loop
     speed: float  # rad/s, largest motor rate at the stop
     rest: float  # s
     share: float  # largest quantity relative to its limit, from the fault on
     torque: float  # largest torque relative to its limit
+
+
+@dataclass(frozen=True)
+class UndisturbedRow:
+    """Row of runs of an agent on arms with uncertain parameters, with lost and late packets but without a fault."""
+
+    agent: str
+    environment: str
+    jitter: float  # control periods
+    loss: float  # probability
+    runs: float
+    stopped: float
+    periods: float  # of all runs
+    test: float  # s, median computing time of the tests of the readings of a period
 
 
 @dataclass(frozen=True)
@@ -170,8 +195,9 @@ class _Killer(MonotonicClock):
 
 
 def _drive_until_killed(agent: str, address: str, configuration: Configuration, after: float) -> None:
-    UdpMachine.clock = _Killer(after)  # type: ignore[attr-defined]
-    drive(agent, address, configuration)
+    machine = UdpMachine(address, wanted_quantities(agent, configuration))
+    machine.clock = _Killer(after)
+    drive(agent, machine, configuration)
 
 
 class _FailingMode:
@@ -196,17 +222,55 @@ class _FailingMode:
 
 FAULTS = {  # name -> fault of the machine, or of the agent
     "agent killed": "", "agent raises an exception": "no solution", "agent commands NaN": "",
-    "machine killed": "kill", "machine silent": "silent", "NaN reading": "nan", "frozen clock": "frozen",
-    "replayed packets": "replay",
+    "machine killed": "kill", "machine silent": "silent", "replayed packets": "replay", "clock stands": "clock stands",
+    "clock jumps by 50 periods": "clock jumps", "clock runs twice as fast": "clock drifts",
+    "readings 2.5 periods late": "late", "readings every half period": "fast", "readings every second period": "slow",
+    "four of five packets lost": "lossy", "NaN reading": "nan", "all readings frozen": "frozen",
+    "encoders frozen": "frozen encoders", "one joint frozen": "frozen joint", "rates reversed": "rates reversed",
+    "angles shifted": "bias", "angles in degrees": "degrees", "joints swapped": "joints swapped",
+    "torque reading of 2000 limits": "torque",
 }  # fmt: skip
+OF_AGENT = tuple(FAULTS)[:3]
+REAL = (*OF_AGENT, "machine killed")  # faults of processes, measured in real time, the others in virtual time
+NOT_OF_ONE_JOINT = ("joints swapped",)  # faults that an arm of one joint cannot have
+
+
+def measure_faults(agent: str) -> list[FaultRow]:
+    """Return the rows of all faults in the loop of an agent."""
+    joints = Configuration.find(FAULT_LOOPS[agent]).arm.n_joints
+    return [measure_fault(fault, agent) for fault in FAULTS if joints > 1 or fault not in NOT_OF_ONE_JOINT]
 
 
 def measure_fault(fault: str, agent: str) -> FaultRow:
     """Return the row of a fault in the loop of an agent."""
-    environment, after = LOOPS[agent][0], FAULT_TIME[LOOPS[agent][0]]
-    configuration = Configuration.find(environment)
-    of_machine = fault not in ("agent killed", "agent raises an exception", "agent commands NaN")
-    disturbances = Disturbances(fault=FAULTS[fault], fault_time=after) if of_machine else Disturbances()
+    environment = FAULT_LOOPS[agent]
+    configuration, after = Configuration.find(environment), FAULT_TIME[environment]
+    measure = _in_real_time if fault in REAL else _in_virtual_time
+    log, record = measure(fault, agent, configuration, after)
+    reported = "the process of the agent is gone" if log is None else str(log.about["failure"])
+    if not len(record.get("time", ())):
+        return FaultRow(fault, agent, environment, reported, "", *[np.nan] * 5)
+    noticed = np.nan if log is None else log.about["machine"]["periods"] - round(after / configuration.control_period)
+    return FaultRow(fault, agent, environment, reported, record["reason"], noticed, *_after_stop(record, configuration))
+
+
+def _in_virtual_time(
+    fault: str, agent: str, configuration: Configuration, after: float
+) -> tuple[Episode | None, dict[str, Any]]:
+    """Return the log of the loop and the record of the machine for a fault of the machine."""
+    disturbances = Disturbances(fault=FAULTS[fault], fault_time=after)
+    wanted = wanted_quantities(agent, configuration)
+    machine = VirtualMachine(configuration, TEST_SEEDS[0], disturbances, wanted)
+    log = drive(agent, machine, configuration)
+    machine.wait(machine.now() + AFTER)
+    return log, machine.record()
+
+
+def _in_real_time(
+    fault: str, agent: str, configuration: Configuration, after: float
+) -> tuple[Episode | None, dict[str, Any]]:
+    """Return the log of the loop, None for a killed agent, and the record of the machine; {} for a killed machine."""
+    disturbances = Disturbances() if fault in OF_AGENT else Disturbances(fault=FAULTS[fault], fault_time=after)
     spec = find_agent(agent)
     if "raises" in fault or "commands" in fault:
         spec = spec.designed(configuration)
@@ -226,11 +290,7 @@ def measure_fault(fault: str, agent: str) -> FaultRow:
             time.sleep(AFTER)
         else:
             log = drive(spec, machine.address, configuration)
-        record = machine.close()
-    reported = "the process of the agent is gone" if log is None else str(log.about["failure"])
-    if not len(record.get("time", ())):
-        return FaultRow(fault, environment, reported, "", np.nan, np.nan, np.nan, np.nan)
-    return FaultRow(fault, environment, reported, record["reason"], *_after_stop(record, configuration))
+        return log, machine.close()
 
 
 def _after_stop(record: dict[str, Any], configuration: Configuration) -> tuple[float, float, float, float]:
@@ -239,7 +299,7 @@ def _after_stop(record: dict[str, Any], configuration: Configuration) -> tuple[f
     measured, limits = LinearMeasurements(model).measure(record["states"]), configuration.limits
     stopped = int(np.argmax(record["mode"] == STOPPING))
     rates = np.abs(measured["motor_rates"]).max(axis=1)
-    moving = np.flatnonzero(rates > REST_RATE * limits.rate)
+    moving = np.flatnonzero(rates > RestSpeeds(model, np.array(configuration.torque_limit)).motors)
     lengths = np.repeat(model.constants.length, 2)
     scales = {
         "motor_angles": limits.angle, "motor_rates": limits.rate, "joint_twists": limits.twist,
@@ -250,6 +310,19 @@ def _after_stop(record: dict[str, Any], configuration: Configuration) -> tuple[f
     torque = float(np.max(np.abs(record["torques"]) / np.array(configuration.torque_limit)))
     rest = (moving[-1] + 1 - stopped) * configuration.control_period if len(moving) else 0.0
     return float(rates[stopped]), max(float(rest), 0.0), share, torque
+
+
+def measure_undisturbed(agent: str, runs: int) -> UndisturbedRow:
+    """Return the row of runs of an agent on uncertain arms in virtual time, from the first test seed on."""
+    configuration, stopped, periods, times = Configuration.find(UNCERTAIN), 0, 0, list[float]()
+    wanted = wanted_quantities(agent, configuration)
+    disturbances = Disturbances(jitter=JITTER * configuration.control_period, loss=LOST)
+    for seed in range(TEST_SEEDS[0], TEST_SEEDS[0] + runs):
+        machine = VirtualMachine(configuration, seed, disturbances, wanted)
+        loop = drive(agent, machine, configuration, seed).about
+        stopped, periods = stopped + bool(loop["failure"]), periods + loop["machine"]["periods"]
+        times.append(loop["machine"]["test"])
+    return UndisturbedRow(agent, UNCERTAIN, JITTER, LOST, runs, stopped, periods, float(np.median(times)))
 
 
 def measure_round_trip(joint: int, factor: float) -> RoundTripRow:
