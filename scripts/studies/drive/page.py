@@ -65,7 +65,8 @@ def page(
         table="\n".join(markdown_table(head, [_kind(kind, faults, environments) for kind in KINDS])),
         agents=", ".join(f"`{each}`" for each in dict.fromkeys(row.agent for row in faults)),
         environment=undisturbed[0].environment, test=1e3 * max(row.test for row in undisturbed),
-        load=f"{min(loads):.2g} to {max(loads):.2g}", loops="\n".join(map(_loop, main)), fit=max(abs(row.found / row.true - 1.0) for row in fits), **text,
+        load=f"{min(loads):.2g} to {max(loads):.2g}", loops="\n".join(map(_loop, main)),
+        fit=max(abs(row.found / row.true - 1.0) for row in fits), **text,
     )  # fmt: skip
     lies = [row for row in faults if row.fault in list(FAULTS)[3:] and np.isfinite(row.noticed)]
     most = f"{max(row.noticed for row in lies):.0f}"
