@@ -61,7 +61,7 @@ def test_controllers_of_unknown_arms_are_as_the_page_says():
 def test_the_page_of_controllers_shows_every_case_of_the_adaptive_one():
     """Change one row at a time; the conditions uncertain and unmodelled of other arms are in the CSV alone."""
     names = [case.name for case in CASES if case.name.startswith("adaptive-lqr") and case.name.count(", ") == 1]
-    rows = [Controlled(name, 0.9, 3.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.5, 0.0) for name in names]
+    rows = [Controlled(name, 100, 0.9, 3.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.5, 0.0) for name in names]
     text = control_page(rows)
     for i, row in enumerate(rows):
         changed = [*rows[:i], replace(row, settled=0.33, followed=0.0033), *rows[i + 1 :]]
