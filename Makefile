@@ -3,7 +3,7 @@ TORCH := torch==2.13.0
 RUN := .venv/bin/python -m
 CODE := flexman_gym agents scripts
 
-.PHONY: demo test kernels quick lint site pages bundle verify wheel evidence clean
+.PHONY: demo test kernels quick lint site pages bundle verify wheel clients evidence clean
 
 demo: .venv/installed
 	.venv/bin/flexman demo
@@ -45,6 +45,10 @@ verify: .venv/installed
 # What a new user does, without the checkout: builds the wheel and installs it, checks, trains and evaluates.
 wheel:
 	@PYTHON=$(PYTHON) TORCH=$(TORCH) scripts/wheel.sh
+
+# Short training loops of Stable-Baselines3, sb3-contrib, skrl, TorchRL and Tianshou, in an environment of their own.
+clients:
+	@PYTHON=$(PYTHON) TORCH=$(TORCH) scripts/clients.sh
 
 # Lists the rows, pages, pictures and policies that are older than the code that they describe. STUDY="servos faults"
 # makes these studies, STUDY=stale all that are not current; after an interruption the same command goes on.

@@ -9,5 +9,5 @@ for algorithm in (TQC, CrossQ):
     report(
         f"sb3-contrib {algorithm.__name__}",
         lambda seen, model=model: model.predict(seen, deterministic=True)[0],
-        lambda model=model: model.learn(3_000),
+        lambda model=model: model.learn(2_000),
     )

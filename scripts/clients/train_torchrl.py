@@ -5,7 +5,7 @@ from report import ENVIRONMENT, SETTINGS, report
 from tensordict.nn import TensorDictModule
 from tensordict.nn.distributions import NormalParamExtractor
 from torch import nn
-from torchrl.collectors import SyncDataCollector
+from torchrl.collectors import Collector
 from torchrl.data import LazyTensorStorage, ReplayBuffer
 from torchrl.data.replay_buffers.samplers import SamplerWithoutReplacement
 from torchrl.envs import GymEnv, RewardSum, StepCounter, TransformedEnv
@@ -43,7 +43,7 @@ optimizer = torch.optim.Adam(loss.parameters(), 3e-4)
 
 def learn() -> None:
     """Collect batches and update the networks."""
-    collector = SyncDataCollector(env, policy, frames_per_batch=FRAMES, total_frames=BATCHES * FRAMES)
+    collector = Collector(env, policy, frames_per_batch=FRAMES, total_frames=BATCHES * FRAMES)
     buffer = ReplayBuffer(storage=LazyTensorStorage(max_size=FRAMES), sampler=SamplerWithoutReplacement())
     for data in collector:
         for _ in range(EPOCHS):
