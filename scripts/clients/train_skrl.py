@@ -61,7 +61,8 @@ cfg = PPO_CFG(
 )  # fmt: skip
 cfg.experiment.write_interval = cfg.experiment.checkpoint_interval = 0
 models = {"policy": Policy(), "value": Value()}
-agent = PPO(models=models, memory=RandomMemory(memory_size=ROLLOUT, num_envs=ARMS, device=env.device), cfg=cfg, **spaces)
+memory = RandomMemory(memory_size=ROLLOUT, num_envs=ARMS, device=env.device)
+agent = PPO(models=models, memory=memory, cfg=cfg, **spaces)
 trainer = SequentialTrainer(
     cfg={"timesteps": 12 * ROLLOUT, "headless": True, "disable_progressbar": True}, env=env, agents=agent
 )
