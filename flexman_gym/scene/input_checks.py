@@ -7,7 +7,7 @@ from dataclasses import fields, replace
 from functools import wraps
 from typing import Any, TypeVar
 
-from flexman_gym.common.checks import keyword_error, suggestion, warn_caller
+from flexman_gym.common.checks import KeywordError, nearest, value_error, warn_caller
 
 T = TypeVar("T")
 
@@ -66,8 +66,11 @@ def check_keywords(cls: type[T]) -> type[T]:
         for name, value in named.items():
             if name not in known:
                 allowed = FOREIGN_KEYWORDS.get(cls.__name__, {}).get(name)
-                allowed = allowed or f"one of {', '.join(known)}{suggestion(name, known)}"
-                raise keyword_error(f"{cls.__name__}.{name}", value, allowed, name)
+                near = nearest(name, known)
+                allowed = allowed or (
+                    f"{near}, or another field of {cls.__name__}" if near else f"one of {', '.join(known)}"
+                )
+                raise KeywordError(str(value_error(f"{cls.__name__}.{name}", value, allowed)))
         construct(self, *values, **named)
 
     cls.__init__ = constructor  # type: ignore[method-assign]

@@ -80,7 +80,7 @@ def test_what_does_not_bend_needs_no_shaper(tmp_path, capsys):
     ("given", "line"),
     [
         (["nowhere.json"], "nowhere.json: there is no such file"),
-        (["FlexPlanar-v9"], "FlexPlanar-v9: there is no such file; give one, or one of "),
+        (["FlexPlanar-v9"], "environment: FlexPlanar-v9 does not exist; give the path of a file, or one of "),
         (["FlexOne-v0", "--postures", "0"], "--postures: 0 is not allowed; give a whole number from 1 to 10000"),
         (["one_joint", "--postures", "1000000000"], "give a whole number from 1 to 10000"),
         (["one_joint", "--payload", "-1", "1"], "payload_mass: -1.0 is not allowed; give a finite number >= 0 (kg)"),

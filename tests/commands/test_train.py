@@ -93,8 +93,8 @@ def test_a_recipe_is_a_start_and_options_go_before_it(run, tmp_path):
 @pytest.mark.parametrize(
     ("script", "arguments", "line"),
     [
-        ("evaluate", ["no_such_run"], "agent: no_such_run is not allowed; give the folder of a training run, or one"),
-        ("evaluate", ["pd", "--env", "nowhere.yaml"], "nowhere.yaml: there is no such file"),
+        ("evaluate", ["no_such_run"], "agent: no_such_run does not exist; give the folder of a training run"),
+        ("evaluate", ["pd", "--env", "nowhere.yaml"], "environment: nowhere.yaml does not exist; give the path"),
         ("evaluate", ["pd", "--set", "horizon"], "--set: 'horizon' is not allowed; give name=value, such as"),
         ("evaluate", ["pd", "--set", "horizont=3"], "horizont: 3 is not allowed; give a setting: the nearest is"),
         (
@@ -103,7 +103,7 @@ def test_a_recipe_is_a_start_and_options_go_before_it(run, tmp_path):
             "--set: 'base=lqr' is not allowed; give a setting of the environment",
         ),
         ("train", ["--steps", "0"], "steps: 0 is not allowed; give a whole number from 1"),
-        ("train", ["no_recipe"], "recipe: no_recipe is not allowed; give a file, or one of"),
+        ("train", ["no_recipe"], "recipe: no_recipe does not exist; give the path of a file, or one of "),
         ("train", ["--set", "action_repeat=0"], "action_repeat: 0 is not allowed; give a whole number from 1 to 1000"),
         ("train", ["--set", "base=pid"], "base: 'pid' is not allowed; give one of pd, pd-torque, lqr, lqr-tracking"),
         ("train", ["--device", "gpu"], "device: 'gpu' is not allowed; give a device that PyTorch finds"),

@@ -1,6 +1,7 @@
 """Tests of the first paragraphs of evidence pages: what they state holds of the rows."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 
@@ -62,10 +63,11 @@ def test_the_page_of_controllers_shows_every_case_of_the_adaptive_one():
     """Change one row at a time; the conditions uncertain and unmodelled of other arms are in the CSV alone."""
     names = [case.name for case in CASES if case.name.startswith("adaptive-lqr") and case.name.count(", ") == 1]
     rows = [Controlled(name, 100, 0.9, 3.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.5, 0.0) for name in names]
-    text = control_page(rows)
+    nowhere = SimpleNamespace(find=lambda agent, scenario: None)  # no scenario has a row of the league
+    text = control_page(rows, nowhere)
     for i, row in enumerate(rows):
         changed = [*rows[:i], replace(row, settled=0.33, followed=0.0033), *rows[i + 1 :]]
-        assert control_page(changed) != text, row.case
+        assert control_page(changed, nowhere) != text, row.case
 
 
 def test_methods_are_as_the_openings_say():

@@ -263,7 +263,7 @@ def test_the_command_shows_the_page_until_it_is_stopped(capsys):
     process.stderr.close()
     with pytest.warns(DeprecationWarning, match="is flexman live --agent now|--env is ENVIRONMENT now"):
         assert main(["enjoy", "pd", "--env=FlexOne-v9"]) == 2
-    assert "FlexOne-v9: there is no such file" in capsys.readouterr().err
+    assert "environment: FlexOne-v9 does not exist; give the path of a file, or one of " in capsys.readouterr().err
 
 
 LOST = """
