@@ -116,8 +116,12 @@ def baseline_rows(name: str, runs: Mapping[str, Rollout]) -> list[Baseline]:
     """Return the metrics of the baselines, by their names, in an environment."""
     shown = ("settled", "settling_time", "vibration", "rms_error", "failed")
     return [
-        Baseline(name, baseline, **{metric: METRICS[metric].evaluate(each.records) for metric in shown},
-                 episodes=len(each.records))
+        Baseline(
+            name,
+            baseline,
+            **{metric: METRICS[metric].evaluate(each.records) for metric in shown},
+            episodes=len(each.records),
+        )
         for baseline, each in runs.items()
     ]
 
