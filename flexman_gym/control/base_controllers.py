@@ -1,21 +1,13 @@
-"""Base controllers by name: construction, required information and description."""
+"""Base controllers by name: table of their entries, and construction from names and mappings."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-from flexman_gym.common.checks import flag, mapping, one_of, positive, text, value_error
+from flexman_gym.common.checks import mapping, one_of, text, value_error
+from flexman_gym.common.registry import Registry
 from flexman_gym.common.renamed import BASE_ARGUMENTS, rename_keys
 from flexman_gym.control.controller import Controller, Plant
-from flexman_gym.control.input_shaping.shaped_controller import InputShapedController
-from flexman_gym.control.lqr import LQR, CostWeights, TrackingLQR
-from flexman_gym.control.observers.estimator import Estimator
-from flexman_gym.control.observers.kalman_filter import KalmanFilter
-from flexman_gym.control.observers.oracle import Oracle
-from flexman_gym.control.pd import PD
-from flexman_gym.control.references.optimised_slews import SHIPPED_TABLE, OptimisedController, SlewTable
-from flexman_gym.control.torque_feedback_pd import TorqueFeedbackPD
-from flexman_gym.control.tracking import OutputFeedback, Tracking
 
 
 class _Entry(Protocol):
@@ -46,8 +38,8 @@ DEFAULT_TUNING = "none: default weights for every arm"  # tuning of controllers 
 
 
 @dataclass(frozen=True)
-class _BaseEntry:
-    """Entry of the table of base controllers.
+class ControllerEntry:
+    """Entry of a controller in the table of base controllers, which stands in the file of the controller.
 
     Attributes:
         make: function of a Plant and the arguments that returns the controller.
@@ -64,143 +56,20 @@ class _BaseEntry:
     tuning: str = DEFAULT_TUNING
 
 
-def _pd(plant: Plant, **gains: Any) -> PD:
-    weight = plant.model if plant.model.constants.gravity.any() else None
-    tuned = gains if len(gains) == 2 else {**plant.gains(), **gains}
-    return PD(**tuned, torque_limit=plant.torque_limit, gravity_model=weight)
-
-
-def _shaped_pd(plant: Plant, **given: Any) -> InputShapedController:
-    gains = {name: given.pop(name) for name in ("stiffness", "damping") if name in given}
-    return InputShapedController(_pd(plant, **gains), plant.model, **given)
-
-
-def _regulator(regulator: type[LQR]) -> Callable[..., LQR]:
-    def make(plant: Plant, weights: object = None, **options: Any) -> LQR:
-        chosen = None if weights is None else _weights(weights)
-        return regulator(plant.model, plant.torque_limit, plant.period, chosen, **options)
-
-    return make
-
-
-def _mpc(plant: Plant) -> Controller:
-    from flexman_gym.control.mpc import MPC
-
-    return MPC(plant.model, plant.torque_limit, plant.period, plant.integration)
-
-
-def _optimised(plant: Plant, table: object = None) -> OptimisedController:
-    slews = SlewTable.load(SHIPPED_TABLE if table is None else text("base.table", table))
-    return OptimisedController(slews, plant.model, plant.torque_limit, plant.period)
-
-
-def _weights(value: object) -> CostWeights:
-    given = mapping("base.weights", value, CostWeights._fields)
-    if len(given) < len(CostWeights._fields):
-        raise value_error("base.weights", given, "a mapping with tip (m), tip_speed (m/s) and motor (rad)")
-    return CostWeights(**{name: positive(f"base.weights.{name}", each) for name, each in given.items()})
-
-
-def _adaptive(plant: Plant, weights: object = None, unknown: Any = None, **options: Any) -> OutputFeedback:
-    plant = plant if unknown is None else plant._replace(unknown=unknown)
-    return OutputFeedback(Estimator(plant, **options), _tracking(plant, weights), _safe(plant))
-
-
-def _safe(plant: Plant) -> PD | None:
-    """Return the PD with gains tuned for the arm and its delay; None for an arm without tuned gains."""
-    try:
-        return _pd(plant)
-    except ValueError:
-        return None
-
-
-def _lqg(plant: Plant, weights: object = None, **options: Any) -> OutputFeedback:
-    return OutputFeedback(KalmanFilter(plant, **options), _tracking(plant, weights))
-
-
-def _hinf(plant: Plant, **options: Any) -> Controller:
-    from flexman_gym.control.hinf import HInfinity
-
-    return HInfinity(plant, **options)
-
-
-def _privileged(plant: Plant, weights: object = None, doubt: object = False, retimed: object = True) -> OutputFeedback:
-    law = _tracking(plant, weights, flag("base.retimed", retimed))
-    return OutputFeedback(Oracle(plant, flag("base.doubt", doubt)), law)
-
-
-def _tracking(plant: Plant, weights: object, retimed: bool = True) -> Tracking:
-    return Tracking(plant, None if weights is None else _weights(weights), retimed)
-
-
-BASES: dict[str, _BaseEntry] = {
-    "pd": _BaseEntry(
-        _pd,
-        (),
-        ("stiffness", "damping"),
-        "a PD of the motors, with gains for each arm, task and delay",
-        "by `flexman optimise gains`, about half a minute of computing time per environment, on the seeds 0 to 7",
-    ),
-    "pd-torque": _BaseEntry(
-        TorqueFeedbackPD,
-        ("data sheets", "payload class"),
-        (),
-        "a PD of the motors with joint-torque feedback along a minimum-jerk slew, designed from data sheets",
-        "by random search of five numbers for all arms, about a minute of computing time for each delay, on the seeds "
-        "5100 to 5115 of `FlexRRR-v0`",
-    ),
-    "lqr": _BaseEntry(
-        _regulator(LQR), ("model", "true state"), ("weights",), "a linear-quadratic regulator about the goal"
-    ),
-    "lqr-tracking": _BaseEntry(
-        _regulator(TrackingLQR),
-        ("model", "true state"),
-        ("weights", "timing_law"),
-        "a linear-quadratic regulator that tracks a smooth slew, or a path",
-    ),
-    "lqg": _BaseEntry(
-        _lqg,
-        ("model",),
-        ("weights", "sensors", "noise", "disturbed", "biased", "fixed"),
-        "a Kalman filter of the nominal arm with laboratory measurements, and `lqr-tracking`",
-    ),
-    "hinf": _BaseEntry(
-        _hinf,
-        ("model",),
-        ("sensors", "loss"),
-        "H-infinity output feedback with laboratory measurements, designed for the ranges of the uncertain parameters",
-        "weights for every arm, set by hand on the seeds 9000 to 9011 of `FlexRRR-v0` and `FlexRotary-v0`, which are "
-        "test seeds",
-    ),
-    "mpc": _BaseEntry(_mpc, ("model", "true state"), (), "model predictive control within the torque limits"),
-    "optimised": _BaseEntry(
-        _optimised,
-        ("model", "true state", "its episodes"),
-        ("table",),
-        "a replay of the fastest slew found by optimisation for each episode",
-        "by `flexman optimise slews` on the test episodes themselves: a bound, not a competitor",
-    ),
-    "adaptive-lqr": _BaseEntry(
-        _adaptive,
-        ("structure of the model",),
-        ("weights", "sensors", "unknown", "biased"),
-        "an output-error estimator with eleven simulated arms, fitted to laboratory measurements, and `lqr-tracking` "
-        "for the estimated arm; the PD if no fit explains the measurements",
-    ),
-    "privileged-lqr": _BaseEntry(
-        _privileged,
-        ("model", "true state", "true parameters"),
-        ("weights", "doubt", "retimed"),
-        "`lqr-tracking` with true state and true parameters, the benchmark",
-    ),
-    "pd-shaped": _BaseEntry(
-        _shaped_pd,
-        ("model",),
-        ("stiffness", "damping", "shaper", "modes", "places", "duration"),
-        "the PD with an input shaper (ZVD) for the lowest mode of the nominal arm",
-        "that of the PD",
-    ),
-}
+_PLACE = "flexman_gym.control"
+BASES: Registry[ControllerEntry] = Registry({
+    "pd": f"{_PLACE}.pd:ENTRY",
+    "pd-torque": f"{_PLACE}.torque_feedback_pd:ENTRY",
+    "lqr": f"{_PLACE}.lqr:LQR_ENTRY",
+    "lqr-tracking": f"{_PLACE}.lqr:TRACKING_ENTRY",
+    "lqg": f"{_PLACE}.output_feedback:LQG_ENTRY",
+    "hinf": f"{_PLACE}.hinf:ENTRY",
+    "mpc": f"{_PLACE}.mpc:ENTRY",
+    "optimised": f"{_PLACE}.references.optimised_slews:ENTRY",
+    "adaptive-lqr": f"{_PLACE}.output_feedback:ADAPTIVE_ENTRY",
+    "privileged-lqr": f"{_PLACE}.output_feedback:PRIVILEGED_ENTRY",
+    "pd-shaped": f"{_PLACE}.input_shaping.shaped_controller:ENTRY",
+})  # fmt: skip
 """Base controllers: name -> construction, required information, arguments and description."""
 
 

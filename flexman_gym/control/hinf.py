@@ -18,6 +18,7 @@ import numpy as np
 from flexman_gym.common.arrays import Array, BoolArray, IntArray, pad_rows, row_dots
 from flexman_gym.common.checks import positive, value_error
 from flexman_gym.common.computer import optional_module
+from flexman_gym.control.base_controllers import ControllerEntry
 from flexman_gym.control.controller import EpisodeInfo, Plant, Readings
 from flexman_gym.control.friction_compensation import friction_torques, frictionless
 from flexman_gym.control.lqr import CostWeights
@@ -445,3 +446,13 @@ class HInfinity:
     def skip(self, active: BoolArray) -> None:
         """Advance the references of the active arms by a control period without readings, see `Controller`."""
         self._now += active
+
+
+ENTRY = ControllerEntry(
+    HInfinity,
+    ("model",),
+    ("sensors", "loss"),
+    "H-infinity output feedback with laboratory measurements, designed for the ranges of the uncertain parameters",
+    "weights for every arm, set by hand on the seeds 9000 to 9011 of `FlexRRR-v0` and `FlexRotary-v0`, which are "
+    "test seeds",
+)

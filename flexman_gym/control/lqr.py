@@ -3,18 +3,19 @@
 import hashlib
 import os
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import product
 from pathlib import Path
-from typing import NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from flexman_gym.common.arrays import Array, BoolArray, IntArray, Vector, pad_rows, row_dots
-from flexman_gym.common.checks import check_solvable, one_of, positive, value_error
+from flexman_gym.common.checks import check_solvable, mapping, one_of, positive, value_error
 from flexman_gym.common.files import READ_ERRORS, open_arrays
 from flexman_gym.common.renamed import ARGUMENTS, deprecated_arguments
+from flexman_gym.control.base_controllers import ControllerEntry
 from flexman_gym.control.controller import EpisodeInfo, Plant, Readings, saturated
 from flexman_gym.control.friction_compensation import FrictionCompensation, frictionless
 from flexman_gym.control.pd import torque_limits
@@ -428,3 +429,31 @@ class TrackingLQR(LQR):
         upper, part = min(lower + 1, len(gains) - 1), schedule.positions[row] - lower
         gain = gains[lower] + part * (gains[upper] - gains[lower])
         return gain, schedule.states[row], schedule.torques[row]
+
+
+def parse_weights(value: object) -> CostWeights | None:
+    """Return the cost weights of a mapping "tip" (m), "tip_speed" (m/s) and "motor" (rad); None for None."""
+    if value is None:
+        return None
+    given = mapping("base.weights", value, CostWeights._fields)
+    if len(given) < len(CostWeights._fields):
+        raise value_error("base.weights", given, "a mapping with tip (m), tip_speed (m/s) and motor (rad)")
+    return CostWeights(**{name: positive(f"base.weights.{name}", each) for name, each in given.items()})
+
+
+def _maker(regulator: type[LQR]) -> Callable[..., LQR]:
+    def make(plant: Plant, weights: object = None, **options: Any) -> LQR:
+        return regulator(plant.model, plant.torque_limit, plant.period, parse_weights(weights), **options)
+
+    return make
+
+
+LQR_ENTRY = ControllerEntry(
+    _maker(LQR), ("model", "true state"), ("weights",), "a linear-quadratic regulator about the goal"
+)
+TRACKING_ENTRY = ControllerEntry(
+    _maker(TrackingLQR),
+    ("model", "true state"),
+    ("weights", "timing_law"),
+    "a linear-quadratic regulator that tracks a smooth slew, or a path",
+)

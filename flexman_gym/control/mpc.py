@@ -9,6 +9,7 @@ import numpy as np
 from flexman_gym.common.arrays import Array, BoolArray, IntArray, Vector, pad_rows, row_dots
 from flexman_gym.common.checks import value_error
 from flexman_gym.common.computer import optional_module
+from flexman_gym.control.base_controllers import ControllerEntry
 from flexman_gym.control.controller import EpisodeInfo, Plant, Readings
 from flexman_gym.control.friction_compensation import FrictionCompensation
 from flexman_gym.control.lqr import MOTOR_WEIGHT, CostWeights
@@ -229,3 +230,11 @@ def _solve_quadratic_program(daqp: ModuleType, curvature: Array, gradient: Array
     """Return x (m,) between low and high with least x H x / 2 + g x, curvature H (m, m), gradient g; 0 on failure."""
     changes, _, status, _ = daqp.solve(curvature, gradient, np.zeros((0, len(gradient))), high, low)
     return np.array(changes) if status > 0 else np.clip(np.zeros(len(gradient)), low, high)
+
+
+ENTRY = ControllerEntry(
+    lambda plant: MPC(plant.model, plant.torque_limit, plant.period, plant.integration),
+    ("model", "true state"),
+    (),
+    "model predictive control within the torque limits",
+)

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from flexman_gym.common.arrays import Array, BoolArray, IntArray, Vector, pad_rows
 from flexman_gym.common.checks import non_negative, sample_count, sequence, value_error, vector, whole_number
-from flexman_gym.control.controller import Controller, EpisodeInfo, Readings, checked_controller
+from flexman_gym.control.base_controllers import ControllerEntry
+from flexman_gym.control.controller import Controller, EpisodeInfo, Plant, Readings, checked_controller
 from flexman_gym.control.input_shaping.shapers import (
     DEFAULT_TOLERANCE,
     Shaper,
@@ -18,6 +19,7 @@ from flexman_gym.control.input_shaping.shapers import (
     excited_modes,
 )
 from flexman_gym.control.lqr import LQR
+from flexman_gym.control.pd import make_pd
 from flexman_gym.control.references.trajectories import TIMING_LAWS
 from flexman_gym.model.model import Model, check_model
 from flexman_gym.model.statics import rest_state, rest_tips
@@ -221,3 +223,17 @@ def _parse_modes(value: object) -> Array:
             "InputShapedController.modes", value, f"1 to {MAX_MODES} pairs of frequency (Hz) and damping ratio"
         )
     return np.array([vector(f"InputShapedController.modes[{i}]", pair, 2) for i, pair in enumerate(pairs)])
+
+
+def _make(plant: Plant, **given: Any) -> InputShapedController:
+    gains = {name: given.pop(name) for name in ("stiffness", "damping") if name in given}
+    return InputShapedController(make_pd(plant, **gains), plant.model, **given)
+
+
+ENTRY = ControllerEntry(
+    _make,
+    ("model",),
+    ("stiffness", "damping", "shaper", "modes", "places", "duration"),
+    "the PD with an input shaper (ZVD) for the lowest mode of the nominal arm",
+    "that of the PD",
+)

@@ -9,9 +9,10 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 
 from flexman_gym.common.arrays import Array, BoolArray, IntArray, Vector, pad_rows, row_dots
-from flexman_gym.common.checks import value_error
+from flexman_gym.common.checks import text, value_error
 from flexman_gym.common.files import open_arrays, reading, write_file
-from flexman_gym.control.controller import EpisodeInfo
+from flexman_gym.control.base_controllers import ControllerEntry
+from flexman_gym.control.controller import EpisodeInfo, Plant
 from flexman_gym.control.lqr import FEEDFORWARD_FRACTION, LQR
 from flexman_gym.control.references.trajectories import plan_slew
 from flexman_gym.kernels.layout import OK, TIP
@@ -421,3 +422,17 @@ class OptimisedController(LQR):
     def skip(self, active: BoolArray) -> None:
         """Advance the references of the active arms by a control period without readings, see `Controller`."""
         self._now[active] += 1
+
+
+def _make(plant: Plant, table: object = None) -> OptimisedController:
+    slews = SlewTable.load(SHIPPED_TABLE if table is None else text("base.table", table))
+    return OptimisedController(slews, plant.model, plant.torque_limit, plant.period)
+
+
+ENTRY = ControllerEntry(
+    _make,
+    ("model", "true state", "its episodes"),
+    ("table",),
+    "a replay of the fastest slew found by optimisation for each episode",
+    "by `flexman optimise slews` on the test episodes themselves: a bound, not a competitor",
+)
