@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from flexman_gym.common.arrays import Array, IntArray, Vector
 from flexman_gym.model.model import Model
-from flexman_gym.model.state_space import LinearModel
+from flexman_gym.model.state_space import LinearModel, first_order_lag
 from flexman_gym.model.statics import holding_torques, rest_state
 from flexman_gym.simulation.linearization import linearize
 
@@ -146,21 +146,6 @@ def _clamped(linear: LinearModel, columns: IntArray) -> LinearModel:
     A[free, d + free] = 1.0
     A[np.ix_(d + free, moving)], B[d + free] = derivatives[:, : len(moving)], derivatives[:, len(moving) :]
     return replace(linear, A=A, B=B, balance=None)
-
-
-def first_order_lag(period: float, bandwidth: float) -> tuple[float, float]:
-    """Return the response of a first-order lag to a command that is constant over a period.
-
-    Args:
-        period: s.
-        bandwidth: bandwidth of the lag, Hz.
-
-    Returns:
-        Difference of command and output at the end of the period and its mean over the period, as fractions of the
-        initial difference.
-    """
-    decay = 2.0 * np.pi * bandwidth * period  # control period over time constant
-    return float(np.exp(-decay)), float(-np.expm1(-decay) / decay)
 
 
 def margins(loops: Sequence[SampledLoop], stiffness: Vector, damping: Vector) -> Margins:

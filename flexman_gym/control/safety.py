@@ -12,15 +12,16 @@ from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from flexman_gym.common.arrays import Array, BoolArray, IntArray, pad_rows
 from flexman_gym.common.checks import non_negative, value_error
 from flexman_gym.common.computer import optional_module
 from flexman_gym.control.actions import ActionMode
 from flexman_gym.control.braking import BRAKE, DECAY, NEAR_PERIODS, STAGES, BrakePrediction, PredictedLimits
-from flexman_gym.control.controller import EpisodeInfo, Plant, Readings
+from flexman_gym.control.controller import Controller, EpisodeInfo, Plant, Readings
 from flexman_gym.control.mode_wrapper import ModeWrapper
-from flexman_gym.control.observers.uncertain_states import StateSource
+from flexman_gym.control.observers.uncertain_states import StateSource, find_state_source
 from flexman_gym.kernels.layout import ARMS_PER_GROUP, LARGEST_STATE, OUTPUTS
 from flexman_gym.model.statics import holding_torques
 
@@ -452,3 +453,22 @@ class SafeMode(ModeWrapper):
     def act(self, actions: Array, readings: Readings, applied: Array, active: BoolArray) -> Array:
         """Return the safe torques (b, n); arguments as in `ActionMode.act`."""
         return self.filter(super().act(actions, readings, applied, active), readings, applied, active)
+
+    def info(self) -> dict[str, Array | NDArray[np.object_]]:
+        """Return "safety_status" (b,), names of STATUS, and "safety_change" (b, n), see `SafetyFilter`."""
+        return {
+            "safety_status": np.array(STATUS, dtype=object)[self.filter.status],
+            "safety_change": self.filter.change.copy(),
+        }
+
+
+def make_safe_mode(mode: ActionMode, plant: Plant, limits: PredictedLimits, base: Controller | None) -> SafeMode:
+    """Return an action mode with a safety filter.
+
+    Args:
+        mode: action mode of the agent.
+        plant: plant model.
+        limits: quantities with limits.
+        base: base controller of the mode, whose estimator the filter uses; None for no base controller.
+    """
+    return SafeMode(mode, SafetyFilter(plant, limits, find_state_source(plant, base)))

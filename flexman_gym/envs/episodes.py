@@ -14,7 +14,6 @@ from flexman_gym.common.checks import number_array, one_of, sample_count, value_
 from flexman_gym.common.snapshot import get_state, set_state
 from flexman_gym.control.agent import Agent
 from flexman_gym.control.controller import Controller, EpisodeInfo
-from flexman_gym.control.safety import STATUS, SafeMode, SafetyFilter
 from flexman_gym.envs.active_effects import ActiveEffects
 from flexman_gym.envs.compiled_period import CompiledPeriod
 from flexman_gym.envs.config.configuration import Configuration
@@ -152,9 +151,9 @@ class Episodes:
         return self.agent.base
 
     @property
-    def safety(self) -> SafetyFilter | None:
+    def safety(self) -> Any:
         """Safety filter of the agent; None without."""
-        return self.agent.mode.filter if isinstance(self.agent.mode, SafeMode) else None
+        return getattr(self.agent.mode, "filter", None)
 
     @property
     def sensors(self) -> SensorArray:
@@ -465,10 +464,9 @@ class Episodes:
             info |= {"limits": self.limits.distances(view), "cost": self.cost.copy()}
             if len(self.over) == 1:
                 info["cost"] = self.cost.item()
-        if (safety := self.safety) is not None:
-            names, one = np.array(STATUS, dtype=object)[safety.status], len(self.over) == 1
-            info["safety_status"] = str(names[0]) if one else names
-            info["safety_change"] = safety.change[0].copy() if one else safety.change.copy()
+        if hasattr(self.agent.mode, "info"):
+            own = self.agent.mode.info()
+            info |= {name: each[0] for name, each in own.items()} if len(self.over) == 1 else own
         for name, value in self.task.info(view).items():
             info[name] = copy(value)  # as the arrays of a view change
         for name in self._info_keys:

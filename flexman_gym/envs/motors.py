@@ -13,7 +13,7 @@ class Motors:
     Args:
         limits: (n,) torque limits, N m.
         arms: number of arms b.
-        lag: result of `control.margins.first_order_lag` for one control period; None for motors without a lag.
+        lag: result of `model.state_space.first_order_lag` for one control period; None for motors without a lag.
 
     Attributes:
         limits: (b, n) torque limits, N m; effects may change them.

@@ -29,7 +29,8 @@ from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.named_environments import DEFAULT_ID, NAMED_ENVIRONMENTS, NOMINAL, condition_names
 from flexman_gym.envs.effects import SIGNALS
 from flexman_gym.envs.episodes import Episodes
-from flexman_gym.envs.rendering import live_row, make_renderer
+from flexman_gym.envs.renderer import live_row
+from flexman_gym.envs.rendering import make_renderer
 from flexman_gym.evaluation.agent import AGENTS, find_agent
 from flexman_gym.evaluation.policy_files import METADATA
 from flexman_gym.evaluation.rollout import TEST_SEEDS, RolloutLoop, save_rollouts

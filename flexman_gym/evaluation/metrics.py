@@ -11,7 +11,6 @@ from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import one_of
 from flexman_gym.common.renamed import ARGUMENTS, deprecated_arguments
 from flexman_gym.control.controller import Controller
-from flexman_gym.control.references.optimised_slews import SHIPPED_TABLE, SlewTable
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation.agent import AgentSpec
 from flexman_gym.evaluation.rollout import EpisodeRecord, rollout
@@ -174,14 +173,6 @@ def evaluate(
     records = rollout(agent, environment, seeds, safety=safety).records
     metrics = (*METRICS.values(), *_limit_metrics(records[0]))
     return {metric.name: metric.evaluate(records) for metric in metrics}
-
-
-def optimised_settling_times(environment: Configuration) -> dict[int, float]:
-    """Return the settling times, s, of optimised slews by seed; {} for an environment without a table of slews."""
-    table = SlewTable.load(SHIPPED_TABLE)
-    if table.about.get("environment") != environment.to_plain():
-        return {}
-    return {seed: table.settling_time(seed) for seed in table.found}
 
 
 MAX_NAME_LENGTH = 100  # characters of a name in the table

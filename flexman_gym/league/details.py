@@ -8,15 +8,8 @@ from flexman_gym.common.checks import value_error
 from flexman_gym.common.markdown import markdown_table, number_text
 from flexman_gym.envs.config.named_environments import DEFAULT_ID
 from flexman_gym.evaluation.agent_info import describe_agent, training_seconds
-from flexman_gym.evaluation.metrics import (
-    LIMIT_METRICS,
-    MEDIAN,
-    SHARE,
-    Metric,
-    optimised_settling_times,
-    task_metrics,
-)
-from flexman_gym.league.rows import DAMPING, TIME_RATIO
+from flexman_gym.evaluation.metrics import LIMIT_METRICS, MEDIAN, SHARE, Metric, task_metrics
+from flexman_gym.league.rows import DAMPING, TIME_RATIO, optimised_settling_times
 from flexman_gym.league.scenarios import GIVEN, SWEEPS, find_scenario
 from flexman_gym.league.standings import Interval, Standings
 from flexman_gym.metrics import mean, median_interval, stratified_interval

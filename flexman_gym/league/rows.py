@@ -20,11 +20,12 @@ from flexman_gym.common.parallel import Workers, parallel_map_unordered
 from flexman_gym.common.renamed import LEAGUE_COLUMNS, current_methods
 from flexman_gym.common.run_folder import BEST, NEWEST, SETTINGS
 from flexman_gym.common.time_series import read_csv_rows
+from flexman_gym.control.references.optimised_slews import SHIPPED_TABLE, SlewTable
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.vector_env import compile_kernels
 from flexman_gym.evaluation.agent import BASELINES, find_agent
 from flexman_gym.evaluation.agent_info import check_seeds_unseen, describe_agent
-from flexman_gym.evaluation.metrics import LIMIT_METRICS, METRICS, optimised_settling_times
+from flexman_gym.evaluation.metrics import LIMIT_METRICS, METRICS
 from flexman_gym.evaluation.policy_files import ARRAYS, METADATA, policy_folder
 from flexman_gym.evaluation.rollout import rollout
 from flexman_gym.league.scenarios import PLANTS, find_scenario
@@ -275,3 +276,11 @@ def _write(path: Path, heads: Sequence[str], rows: Iterable[Iterable[Any]]) -> N
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows([heads, *rows])
     write_atomically(path, lambda file: file.write(text.getvalue().encode()))
+
+
+def optimised_settling_times(environment: Configuration) -> dict[int, float]:
+    """Return the settling times, s, of optimised slews by seed; {} for an environment without a table of slews."""
+    table = SlewTable.load(SHIPPED_TABLE)
+    if table.about.get("environment") != environment.to_plain():
+        return {}
+    return {seed: table.settling_time(seed) for seed in table.found}

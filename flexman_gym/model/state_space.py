@@ -258,3 +258,18 @@ def natural_modes(mass: Array, stiffness: Array) -> tuple[Array, Array]:
     squares[np.abs(squares) < ZERO_SQUARE * shift] = 0.0
     order = np.argsort(squares, kind="stable")
     return squares[order], shapes[:, order]
+
+
+def first_order_lag(period: float, bandwidth: float) -> tuple[float, float]:
+    """Return the response of a first-order lag to a command that is constant over a period.
+
+    Args:
+        period: s.
+        bandwidth: bandwidth of the lag, Hz.
+
+    Returns:
+        Difference of command and output at the end of the period and its mean over the period, as fractions of the
+        initial difference.
+    """
+    decay = 2.0 * np.pi * bandwidth * period  # control period over time constant
+    return float(np.exp(-decay)), float(-np.expm1(-decay) / decay)

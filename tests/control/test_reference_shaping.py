@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from flexman_gym.control import Oracle
-from flexman_gym.control.actions import DEVIATION_SCALE
 from flexman_gym.control.agent import Agent
 from flexman_gym.control.controller import EpisodeInfo
 from flexman_gym.control.network import Network
@@ -12,6 +11,7 @@ from flexman_gym.control.observers.observer import Estimate
 from flexman_gym.control.observers.oracle import DEVIATION_DECAY
 from flexman_gym.control.reference_shaping import OFFSET_FREQUENCY, TIME_SCALING_GAIN, ReferenceShaping, ShapingLimits
 from flexman_gym.control.references.adaptive_references import SlewReferences
+from flexman_gym.control.shaping_mode import DEVIATION_SCALE
 from flexman_gym.envs.config.specification import make_base_and_mode, make_plant
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.vector_env import FlexManVectorEnv

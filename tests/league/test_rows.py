@@ -17,7 +17,7 @@ from flexman_gym.evaluation import METRICS, rollout
 from flexman_gym.evaluation import agent as agent_module
 from flexman_gym.evaluation.agent import BASELINES, AgentSpec
 from flexman_gym.evaluation.agent_info import check_seeds_unseen, describe_agent, training_seconds
-from flexman_gym.evaluation.metrics import LIMIT_METRICS, optimised_settling_times
+from flexman_gym.evaluation.metrics import LIMIT_METRICS
 from flexman_gym.evaluation.rollout import SELECTION_SEEDS, EpisodeRecord, training_seed
 from flexman_gym.league.rows import (
     LIMITED,
@@ -26,6 +26,7 @@ from flexman_gym.league.rows import (
     VALUES,
     EpisodeBlock,
     LeagueRows,
+    optimised_settling_times,
     run_league,
 )
 from flexman_gym.league.scenarios import SWEEPS, USUAL_SCENARIOS, Scenario, find_scenario

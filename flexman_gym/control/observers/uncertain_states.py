@@ -5,7 +5,7 @@ from typing import Protocol
 import numpy as np
 
 from flexman_gym.common.arrays import Array, BoolArray, IntArray
-from flexman_gym.control.controller import EpisodeInfo, Plant, Readings
+from flexman_gym.control.controller import Controller, EpisodeInfo, Plant, Readings
 from flexman_gym.control.observers.estimator import Estimator
 from flexman_gym.control.observers.observer import UncertainStates
 
@@ -79,3 +79,13 @@ class EstimatedState:
     def read(self, arms: IntArray) -> UncertainStates:
         """Return the estimates, with a deviation of CONFIDENCE along each parameter, and the likely delays."""
         return self._estimator.confidence_region(arms, CONFIDENCE)
+
+
+def find_state_source(plant: Plant, base: Controller | None) -> StateSource:
+    """Return the source of states of the safety filter: the true state only for an arm without uncertain parameters."""
+    observer = getattr(base, "observer", None)
+    if isinstance(observer, Estimator):
+        return EstimatedState(observer)
+    if plant.unknown or plant.delay[0] < plant.delay[1]:
+        return EstimatedState(Estimator(plant))
+    return TrueState(plant)

@@ -21,7 +21,6 @@ from flexman_gym.common.checks import (
 )
 from flexman_gym.common.markdown import text_fields
 from flexman_gym.common.renamed import current_methods, deprecated_names, rename_keys
-from flexman_gym.control.margins import first_order_lag
 from flexman_gym.control.pd import torque_limits
 from flexman_gym.envs.config.named_environments import (
     DEFAULT_ID,
@@ -33,6 +32,7 @@ from flexman_gym.envs.config.named_environments import (
 )
 from flexman_gym.envs.config.randomisation import Randomisation
 from flexman_gym.envs.config.settings import AUTO_SETTINGS, SETTINGS, EnvironmentSettings
+from flexman_gym.model.state_space import first_order_lag
 from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.input_checks import warn_unusual_units
 from flexman_gym.scene.serialization import SUFFIXES, find_arm, to_plain
@@ -335,7 +335,7 @@ class Configuration(EnvironmentSettings):
 
     @property
     def lag(self) -> tuple[float, float] | None:
-        """Result of `control.margins.first_order_lag` for one control period; None without drive_bandwidth."""
+        """Result of `first_order_lag` for one control period; None without drive_bandwidth."""
         return None if self.drive_bandwidth is None else first_order_lag(self.control_period, self.drive_bandwidth)
 
     @property

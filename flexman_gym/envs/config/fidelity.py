@@ -1,18 +1,22 @@
 """Fidelity of an environment: model, integration method and step, as configured or chosen for a tolerance."""
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from flexman_gym.common.checks import positive
+from flexman_gym.common.registry import load_entry
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
-from flexman_gym.fidelity.model_selection import Choice, assembled_modes, choose_model
 from flexman_gym.model.model import Model, build_model
 from flexman_gym.scene.scene import Initial, ModelChoice, Scene
 from flexman_gym.scene.signals import SineTorque
 from flexman_gym.simulation.integrator import default_step
 from flexman_gym.simulation.methods import Method
 
+if TYPE_CHECKING:
+    from flexman_gym.fidelity.model_selection import Choice
+
 SLEW_DURATION = 3.0  # s; duration of the slew for which fidelity="auto" chooses the model
+SELECTION = "flexman_gym.fidelity.model_selection"  # module that selects models
 SLEW_START = 0.4  # rad; magnitude of the joint angles at its start, with alternating signs
 
 
@@ -22,7 +26,7 @@ class _Fidelity(NamedTuple):
     model: Model
     method: str | Method
     step: float
-    choice: Choice | None
+    choice: "Choice | None"
 
 
 def resolve_fidelity(configuration: Configuration) -> _Fidelity:
@@ -32,7 +36,8 @@ def resolve_fidelity(configuration: Configuration) -> _Fidelity:
         return _Fidelity(choice.model, choice.method, choice.step, choice)
     modes = configuration.modes
     if isinstance(modes, str):
-        modes = assembled_modes(configuration.arm, configuration.elements, 0.5 / configuration.control_period)
+        assembled = load_entry(f"{SELECTION}:assembled_modes")
+        modes = assembled(configuration.arm, configuration.elements, 0.5 / configuration.control_period)
     switches = {name: getattr(configuration, name) for name in ("stiffening", "spinning_rotors", "rotary_inertia")}
     model = build_model(configuration.arm, configuration.elements, modes, **switches)
     step = configuration.step
@@ -41,7 +46,7 @@ def resolve_fidelity(configuration: Configuration) -> _Fidelity:
     return _Fidelity(model, configuration.method, step, None)
 
 
-def _choose_fidelity(configuration: Configuration) -> Choice:
+def _choose_fidelity(configuration: Configuration) -> "Choice":
     """Choose a model for a slew with sine torques of 0.5 Hz, whose amplitudes are the torque limits."""
     n, period = configuration.arm.n_joints, configuration.control_period
     scene = Scene(
@@ -54,4 +59,6 @@ def _choose_fidelity(configuration: Configuration) -> Choice:
         duration=max(1, round(SLEW_DURATION / period)) * period,
         output_step=period,
     )
-    return choose_model(scene, positive("tolerance", configuration.tolerance, "m"), longest_step=period)
+    choose_model = load_entry(f"{SELECTION}:choose_model")
+    choice: Choice = choose_model(scene, positive("tolerance", configuration.tolerance, "m"), longest_step=period)
+    return choice

@@ -6,13 +6,11 @@ import numpy as np
 
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import warn_caller
+from flexman_gym.common.registry import load_entry
 from flexman_gym.control.actions import ActionMode, make_action_mode
 from flexman_gym.control.base_controllers import make_base
 from flexman_gym.control.controller import Controller, Plant
-from flexman_gym.control.observers.estimator import Estimator
-from flexman_gym.control.observers.uncertain_states import EstimatedState, StateSource, TrueState
 from flexman_gym.control.pd import PD
-from flexman_gym.control.safety import SafeMode, SafetyFilter
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.envs.config.randomisation import Randomisation
@@ -85,18 +83,9 @@ def make_safe(configuration: Configuration, model: Model, base: Controller | Non
             f"safety: the filter keeps only the wide limits of the model ({kept}); give limits of strain, "
             "spring_torque or workspace, such as limits={'strain': 1e-4}"
         )
-    plant = make_plant(configuration, model)
-    return SafeMode(mode, SafetyFilter(plant, limits.predicted(model), _state_source(plant, base)))
-
-
-def _state_source(plant: Plant, base: Controller | None) -> StateSource:
-    """Return the source of states of the safety filter: the true state only for an arm without uncertain parameters."""
-    observer = getattr(base, "observer", None)
-    if isinstance(observer, Estimator):
-        return EstimatedState(observer)
-    if plant.unknown or plant.delay[0] < plant.delay[1]:
-        return EstimatedState(Estimator(plant))
-    return TrueState(plant)
+    plant, make_safe_mode = make_plant(configuration, model), load_entry("flexman_gym.control.safety:make_safe_mode")
+    safe: ActionMode = make_safe_mode(mode, plant, limits.predicted(model), base)
+    return safe
 
 
 def _measurement_errors(configuration: Configuration, model: Model) -> dict[str, Array]:

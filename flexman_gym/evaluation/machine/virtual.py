@@ -4,7 +4,6 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-
 from flexman_gym.common.checks import value_error
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation.machine.arm import SimulatedArm
