@@ -17,6 +17,7 @@ from flexman_gym.evaluation.agent import _Clock, _TimedMode, find_agent
 from flexman_gym.evaluation.rollout import RolloutLoop, rollout
 
 REQUIRED = tuple(name for name in vars(ActionMode) if not name.startswith("_"))
+OWN = {"safety": ("info",)}  # optional members that a wrapper has itself
 MOST = ("derivatives",)  # members that the safety filter does not have
 LIMITS = {"strain": 2e-4, "on_violation": "record"}
 
@@ -31,7 +32,7 @@ class Full:
         self.count, self.calls = 0, []
 
     def __getattribute__(self, name):
-        if name in ("reset", "act", "observe", "derivatives", "prepare", "skip"):
+        if name in ("reset", "act", "observe", "derivatives", "prepare", "skip", "info"):
             return lambda *arguments: self.calls.append((name, arguments)) or name
         return super().__getattribute__(name)
 
@@ -82,10 +83,10 @@ def test_every_member_of_the_protocol_is_that_of_the_wrapped_mode(wrapper):
     (make, withheld), mode = WRAPPERS[wrapper], Full()
     wrapped = make(mode)
     assert isinstance(wrapped, ActionMode)
-    for name in {*REQUIRED, *OPTIONAL_MEMBERS} - {*withheld, "state_fields"}:
+    for name in {*REQUIRED, *OPTIONAL_MEMBERS} - {*withheld, *OWN.get(wrapper, ()), "state_fields"}:
         value = getattr(wrapped, name)
         if callable(value):
-            arguments = tuple(range({"reset": 3, "act": 4, "prepare": 2, "skip": 1}.get(name, 3)))
+            arguments = tuple(range({"reset": 3, "act": 4, "prepare": 2, "skip": 1, "info": 0}.get(name, 3)))
             assert value(*arguments) == (name if name != "reset" else None)
             assert mode.calls.pop() == (name, arguments)
         elif name == "sensors":
@@ -100,7 +101,7 @@ def test_every_member_of_the_protocol_is_that_of_the_wrapped_mode(wrapper):
 def test_optional_members_of_a_wrapper_are_missing_where_the_wrapped_mode_has_none(wrapper):
     bare = type("Bare", (), {name: getattr(Full(), name) for name in REQUIRED})()
     wrapped = WRAPPERS[wrapper][0](bare)
-    assert [name for name in OPTIONAL_MEMBERS if hasattr(wrapped, name)] == ["state_fields"]
+    assert [name for name in OPTIONAL_MEMBERS if hasattr(wrapped, name)] == ["state_fields", *OWN.get(wrapper, ())]
 
 
 @pytest.mark.parametrize("agent", [{"safety": True, "limits": LIMITS}, {"actions": "shaping"}], ids=str)
