@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from flexman_gym.common.arrays import pad_rows
-from flexman_gym.control.actions import ACTIONS, TorqueMode
+from flexman_gym.control.actions import ACTIONS, ActionModeEntry, TorqueMode
 from flexman_gym.control.agent import Agent
 from flexman_gym.control.base_controllers import make_base
 from flexman_gym.control.network import Network
@@ -38,9 +38,12 @@ class Winding:
         return np.clip(self.base.act(readings, applied, active) + turned, -1.0, 1.0)
 
 
+WINDING = ActionModeEntry(Winding, ("rate",))
+
+
 @pytest.fixture
 def winding(monkeypatch):
-    monkeypatch.setitem(ACTIONS, "winding", type(ACTIONS["torque"])(Winding, ("rate",)))
+    monkeypatch.setitem(ACTIONS._places, "winding", f"{__name__}:WINDING")
     return {**SETTINGS, "actions": {"kind": "winding", "rate": 0.02}, "base": "pd"}
 
 
