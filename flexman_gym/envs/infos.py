@@ -6,12 +6,16 @@ from typing import Any
 import numpy as np
 
 from flexman_gym.common.arrays import BoolArray
-from flexman_gym.control.safety import STATUS
+from flexman_gym.common.registry import load_entry
 from flexman_gym.kernels import layout
 
 Infos = dict[str, Any]
 INFO_MODES = ("always", "at end", "flat", "none")  # values of the argument infos
-TEXTS: dict[str, Callable[[str], int]] = {"status": layout.STATUS.index, "safety_status": STATUS.index, "failure": bool}
+TEXTS: dict[str, Callable[[str], int]] = {
+    "status": layout.STATUS.index,
+    "safety_status": lambda text: int(load_entry("flexman_gym.control.safety:STATUS").index(text)),
+    "failure": bool,
+}
 """Key of a text -> function that returns its number."""
 
 

@@ -17,6 +17,7 @@ from flexman_gym.common.checks import (
     vector,
     warn_caller,
 )
+from flexman_gym.common.registry import load_entry
 from flexman_gym.scene.input_checks import check_keywords, warn_unusual_units
 from flexman_gym.scene.joint import Joint
 from flexman_gym.scene.link import Link, NonUniformLink
@@ -111,9 +112,8 @@ class Arm:
             >>> arm.n_joints
             2
         """
-        from flexman_gym.scene.urdf import read_urdf
-
-        return read_urdf(path, sidecar, tip, held, inertias)
+        arm: Arm = load_entry("flexman_gym.scene.urdf:read_urdf")(path, sidecar, tip, held, inertias)
+        return arm
 
     def __post_init__(self) -> None:
         set_fields(
