@@ -106,7 +106,8 @@ class RangeCheckedController:
                 raise value_error(f"RangeCheckedController.ranges[{name}]", values, "numbers >= 0")
         self._torque_limit, self._model = torque_limit, gravity_model
         self.status, self.refused, self._started, self._period, self._holding_periods = GOOD, 0, False, 0, 0
-        self._goals = self._limits = self._posture = self._applied = np.zeros((1, 0))
+        self._limits, self._posture = np.zeros(0), np.zeros(0)
+        self._goals = self._applied = np.zeros((1, 0))
 
     def __getattr__(self, name: str) -> Any:
         if name in ("estimates", "gain_units", "derivatives"):  # optional members; environments have good readings

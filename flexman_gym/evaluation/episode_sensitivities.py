@@ -156,7 +156,8 @@ class _Derivatives(ModeWrapper):
         rewarded &= type(environment.task) in (Slew, Hold, Track)
         if not rewarded and any(name.startswith("reward") or name == "return" for name in self._of):
             raise value_error("reward", environment.reward or environment.task, "a reward of a task of this library")
-        self._mode = self._agent = None
+        self._mode: Any = None
+        self._agent: Any = None
         self._records: dict[str, list[Array]] = {}
         self._diverged = False
 

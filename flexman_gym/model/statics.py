@@ -73,7 +73,7 @@ def rest_state(model: Model, motor_angles: Vector | Matrix) -> Array:
 def check_springs(model: Model) -> None:
     """Raise ValueError for a model with a passive joint without spring, which has no stiffness matrix to invert."""
     constants = model.constants
-    for i in np.flatnonzero((constants.passive > 0) & (constants.passive_stiffness == 0.0)):
+    for i in np.flatnonzero((constants.passive > 0) & (constants.passive_stiffness == 0.0)).tolist():
         allowed = "a number > 0 (N m/rad): a passive joint without spring has no static equilibrium to be computed"
         raise value_error(f"arm.joints[{i}].stiffness", model.arm.joints[i].stiffness, allowed)
 
