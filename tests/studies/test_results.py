@@ -6,9 +6,8 @@ from dataclasses import replace
 import pytest
 
 from flexman_gym.envs import NAMED_ENVIRONMENTS
-from flexman_gym.league.page import _page_text
+from flexman_gym.league import page as league_page
 from flexman_gym.league.rows import LeagueRows
-from flexman_gym.league.standings import Standings
 from flexman_gym.metrics import upper_median
 from studies.control.cases import ControlRow
 from studies.control.page import page as control_page
@@ -88,14 +87,15 @@ def test_the_number_of_episodes_on_a_page_is_that_of_its_rows(results):
     assert "have 40 episodes, each random arm 20" in " ".join(text.split())
 
 
-def test_the_page_of_the_league_has_the_numbers_of_episodes_of_its_rows(results):
+def test_the_page_of_the_league_has_the_numbers_of_episodes_of_its_rows(results, tmp_path, monkeypatch):
     """Sweeps and other plants may have fewer episodes than scenarios, and single agents fewer than others."""
 
     def end(row):
         return 9003 if "=" in row.scenario else 9006 if "@" in row.scenario else 9050 if row[1:3] == FEW else 9100
 
     rows = [row for row in results.standings.results.rows.values() if row.seed < end(row)]
-    text = _page_text(Standings(LeagueRows(rows, results.standings.results.cells.values())))
-    words = " ".join(text.split())
+    monkeypatch.setattr(league_page, "draw_charts", lambda *_: [])
+    league_page.write_page(LeagueRows(rows, results.standings.results.cells.values()), tmp_path)
+    words = " ".join((tmp_path / league_page.PAGE).read_text(encoding="utf-8").split())
     assert "the same 100 episodes of each scenario (" in words and "`lqr` in `FlexRRR-v0`: 50" in words
     assert "at least 95 % of the 3 episodes settle" in words and "of the same 6 episodes in other simulations" in words
