@@ -44,9 +44,12 @@ def main() -> None:
     for name in () if options.redraw else options.parts:
         write_rows(work[name](), options.folder / f"{name}.csv", 4, computer_text())
     files = [options.folder / f"{name}.csv" for name in PARTS]
-    kinds = LoopRow, FaultRow, UndisturbedRow, RoundTripRow
-    rows = [read_rows(file, kind) for file, kind in zip(files, kinds, strict=True)]
-    (options.folder / "drive.md").write_text(page(*rows, read_comments(*files)), encoding="utf-8")
+    loops, faults, undisturbed, fits = files
+    text = page(
+        read_rows(loops, LoopRow), read_rows(faults, FaultRow), read_rows(undisturbed, UndisturbedRow),
+        read_rows(fits, RoundTripRow), read_comments(*files),
+    )  # fmt: skip
+    (options.folder / "drive.md").write_text(text, encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -54,7 +54,8 @@ def _run(options: argparse.Namespace) -> int:
     from flexman_gym.common.checks import value_error
     from flexman_gym.envs.config.configuration import Configuration
     from flexman_gym.evaluation.machine.drive import drive
-    from flexman_gym.evaluation.machine.simulated import Disturbances, SimulatedMachine
+    from flexman_gym.evaluation.machine.server import Disturbances
+    from flexman_gym.evaluation.machine.simulated import SimulatedMachine
 
     out = options.out or _free_log()
     agent, kind = load_agent(options.agent, options.trust), options.machine.partition(":")[0]

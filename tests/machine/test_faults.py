@@ -19,12 +19,11 @@ from flexman_gym.model.linearization import LinearMeasurements
 NOTICE = 5  # control periods
 FAULT_PERIOD = 20  # control period of the machine whose readings are the first with the fault
 ONE, PLANAR = Configuration.find("FlexOne-v0").replace(horizon=2.0), Configuration.find("FlexPlanar-v0")
+SILENT, STAMPS = "no new readings for 5 control periods", "the machine stamps a sample every"
 REPORTED = {
-    "silent": "no new readings for 5 control periods", "replay": "no new readings for 5 control periods",
-    "clock stands": "no new readings for 5 control periods", "clock jumps": "the clock of the machine is wrong by",
-    "clock drifts": "the machine stamps a sample every", "late": "readings are", "fast": "the machine stamps a sample every",
-    "slow": "the machine stamps a sample every", "lossy": "packets are lost", "nan": "is nan",
-    "frozen": "stands still", "frozen encoders": "stands still", "frozen joint": "stands still",
+    "silent": SILENT, "replay": SILENT, "clock stands": SILENT, "clock jumps": "the clock of the machine is wrong by",
+    "clock drifts": STAMPS, "late": "readings are", "fast": STAMPS, "slow": STAMPS, "lossy": "packets are lost",
+    "nan": "is nan", "frozen": "stands still", "frozen encoders": "stands still", "frozen joint": "stands still",
     "rates reversed": "by the model", "bias": "by the model", "degrees": "reading motor_",
     "joints swapped": "by the model", "torque": "reading torques[0] is",
 }  # fmt: skip

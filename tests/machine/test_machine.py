@@ -94,7 +94,7 @@ def test_the_age_of_readings_is_the_round_trip_less_the_time_in_the_machine():
     peer, machine = connected()
     machine.write(np.array([0.1]))
     machine.write(np.array([0.2]))
-    first = [packet for packet in peer.sent if packet.kind != HELLO][0]
+    first = next(packet for packet in peer.sent if packet.kind != HELLO)
     machine.clock.wait(first.time + 0.03)
     values = np.array([0.5, -1.0], dtype="<f8").tobytes()
     peer.queue += [Packet(READINGS, first.session, 4, 17.0, values, first.sequence, 0.02).encode()] * 2

@@ -20,7 +20,9 @@ def arm(payload):
 
 def test_a_slew_of_a_heavy_payload_takes_the_time_of_bang_bang_torques():
     model, length, torque = arm(12.0), 0.8, 7.0
-    exact = 2.0 * np.sqrt(12.0 * length**2 / torque)  # half of the angle under the whole torque, half under its opposite
+    exact = 2.0 * np.sqrt(
+        12.0 * length**2 / torque
+    )  # half of the angle under the whole torque, half under its opposite
     assert slew_seconds(model, np.array([torque])) == pytest.approx(exact, rel=5e-3)
 
 

@@ -26,7 +26,7 @@ from flexman_gym.evaluation.agent import AgentSpec, find_agent, split_interface
 from flexman_gym.evaluation.machine.arm import ROUNDING
 from flexman_gym.evaluation.machine.clock import MonotonicClock
 from flexman_gym.evaluation.machine.machine import HELLO_SECONDS, READ_INTERVAL, UNITS, Machine, Receipt, UdpMachine
-from flexman_gym.evaluation.machine.plausibility import TORQUE_ERROR, InnovationTest
+from flexman_gym.evaluation.machine.plausibility import TORQUE_ERROR, InnovationTest, with_disturbances
 from flexman_gym.evaluation.machine.rest import REST, RestSpeeds, RestWait, noise_level
 from flexman_gym.evaluation.machine.simulated import SILENT_PERIODS
 from flexman_gym.evaluation.machine.state_estimate import StateEstimate
@@ -143,7 +143,7 @@ class _Loop:
         self.fault = self._doubt = ""
         self._machine, self._period, self._silence = machine, machine.period, silence
         self._environment = design.replace(randomisation=None, drive_bandwidth=None)
-        self._plant = make_plant(design, resolve_fidelity(design).model)
+        self._plant = with_disturbances(make_plant(design, resolve_fidelity(design).model), design)
         self._clock = getattr(machine, "clock", MonotonicClock())
         self._check(needed)
         self._phase = min(PHASE * self._period, LONGEST_PHASE)

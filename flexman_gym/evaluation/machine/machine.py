@@ -188,7 +188,8 @@ class UdpMachine:
         clock: Clock | None = None,
     ) -> None:
         self.clock, self._link = clock or MonotonicClock(), connect(address)
-        self.receiver, self.receipt = Receiver(randbits(32)), None
+        self.receiver = Receiver(randbits(32))
+        self.receipt: Receipt | None = None
         self._sequence, self._commands = 0, 0
         self._sent: deque[tuple[int, float, int]] = deque(maxlen=MAX_SENT)  # sequence number, time (s), commands so far
         try:

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from flexman_gym.common.arrays import Array
+from flexman_gym.common.arrays import Array, BoolArray
 from flexman_gym.control.controller import Plant
 from flexman_gym.control.margins import first_order_lag
 from flexman_gym.control.observers.internal_model import DiscreteJacobians
@@ -18,7 +18,9 @@ from flexman_gym.control.observers.kalman_filter import (
 )
 from flexman_gym.control.observers.observer import MIN_DEVIATION
 from flexman_gym.control.observers.perturbed_models import UncertainParameters, uncertain_ranges
+from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.kernels.layout import OK
+from flexman_gym.model.dynamics import frequencies
 from flexman_gym.model.linearization import MEASUREMENT_UNITS, measurement_rows
 from flexman_gym.model.statics import holding_torques, rest_state
 from flexman_gym.simulation.batch import Batch
@@ -31,15 +33,29 @@ REPEATS = 4  # equal readings in a row after which a value stands still; a senso
 UPDATES = 300  # control periods of the Riccati recursion of the observer gain
 
 
+def with_disturbances(plant: Plant, configuration: Configuration) -> Plant:
+    """Return a plant whose `tip_force` contains all disturbances of the motion in an environment.
+
+    An impulse is a force during a control period; base motion and initial vibration are the forces that cause them.
+    """
+    drawn = configuration.disturbances.ranges if configuration.disturbances else {}
+    size = {name: float(drawn.get(name, (0.0, 0.0))[1]) for name in ("tip_impulse", "base_sway", "initial_vibration")}
+    arm, first = plant.model.arm, frequencies(plant.model, lock_joints=True)[:1]
+    mass = sum(link.mass for link in arm.links) + (arm.payload.mass if arm.payload else 0.0)
+    acceleration = size["base_sway"] + size["initial_vibration"] * float((2.0 * np.pi * first.sum()) ** 2)
+    return plant._replace(tip_force=plant.tip_force + size["tip_impulse"] / plant.period + mass * acceleration)
+
+
 class InnovationTest:
     """Test of readings against what the commands must do, by observers of the same arm with different parameters.
 
-    All observers have the same gain L, of a Kalman filter at the start: x = f(x, torques) + L (y - C x). The
-    first has the mean of each uncertain parameter, each of the others one parameter at the end of its range, one of the
-    other delays of the torques, or torques that are too small. The innovation of a correct arm is therefore, to first
-    order, at most the sum of the differences of their predictions, and a number of standard deviations of the noise.
-    Readings beyond this bound do not correct the observers, and neither do values that are repeated, as a sensor does
-    that has lost a sample. Readings of the torques are compared with the commands.
+    All observers have the same gain L: x = f(x, torques) + L (y - C x). It is that of a Kalman filter at the start with
+    the encoders of the motors alone, so that the links of a wrong model are not excited. The first observer has the
+    mean of each uncertain parameter, each of the others one parameter at the end of its range, another delay of the
+    torques, or torques that are too small. The innovation of a correct arm is therefore, to first order, at most the
+    sum of the differences of their predictions, and a number of standard deviations of the noise. Readings beyond this
+    bound do not correct the observers, and neither do values that are repeated, as by a sensor that has lost a sample.
+    Readings of the torques are compared with the commands.
 
     Args:
         plant: plant model with the uncertain parameters, delay, and noise of the instruments.
@@ -65,9 +81,9 @@ class InnovationTest:
         self._reached = np.zeros(model.n_joints)
         self._make_observers(at_rest.mean(axis=0))
         self._gain, self._spread = self._observer_gain(at_rest.mean(axis=0)[: model.n_joints])
-        self._excesses: deque[Array] = deque([np.zeros(size, dtype=bool)] * SPAN, SPAN)
+        self._excesses: deque[BoolArray] = deque([np.zeros(size, dtype=bool)] * SPAN, SPAN)
         self._torque_error = TORQUE_ERROR * np.array(plant.torque_limit)
-        self._torque_excesses: deque[Array] = deque([self._torque_error < 0.0] * SPAN, SPAN)
+        self._torque_excesses: deque[BoolArray] = deque([self._torque_error < 0.0] * SPAN, SPAN)
         self._last, self._repeats = at_rest[-1], np.zeros(size, dtype=np.int64)
         self._resolution = np.full(size, np.inf)  # smallest change of a value
         self._since = self._predictions()
@@ -97,7 +113,10 @@ class InnovationTest:
         self._delays = np.array([usual] * (1 + p) + delays + [usual])
         self._shares = np.ones(len(theta))
         self._shares[-1] = 1.0 - TORQUE_ERROR
-        self._batch, self._every = Batch(model, *plant.integration, plant.period, arms=len(theta)), np.arange(len(theta))
+        self._batch, self._every = (
+            Batch(model, *plant.integration, plant.period, arms=len(theta)),
+            np.arange(len(theta)),
+        )
         self._drives = np.zeros((len(theta), model.n_joints + 6))
         angles = at_rest[None, : model.n_joints]
         self._mean_model = uncertain.varied_model(model, uncertain.mean) if p else model
@@ -120,10 +139,12 @@ class InnovationTest:
         forces[n:] += plant.tip_force**2
         transition, inputs, variances = slopes[:, :size], slopes[:, size:], self._deviations**2
         process = (inputs * forces) @ inputs.T
-        covariance = process.copy()
+        covariance, encoders = process.copy(), sum(label.startswith("motor_") for label in self._labels)
+        seen = self._matrix[:encoders], variances[:encoders]
         for _ in range(UPDATES):
-            covariance = time_update(measurement_update(covariance, self._matrix, variances)[1], transition, process)
-        gain, _ = measurement_update(covariance, self._matrix, variances)
+            covariance = time_update(measurement_update(covariance, *seen)[1], transition, process)
+        gain = np.zeros((size, len(variances)))
+        gain[:, :encoders] = measurement_update(covariance, *seen)[0]
         return gain, np.sqrt(np.diag(self._matrix @ covariance @ self._matrix.T) + variances)
 
     def _predictions(self) -> Array:
@@ -170,7 +191,7 @@ class InnovationTest:
         i = wrong[0]
         return f"reading torques[{i}] is {torques[i]:.4g} N m, but the commands are {low[i]:.4g} to {high[i]:.4g} N m"
 
-    def _still(self, now: Array, equal: Array, predictions: Array) -> str:
+    def _still(self, now: Array, equal: BoolArray, predictions: Array) -> str:
         """Return a text for a value that repeats itself while all observers predict a change beyond its deviation."""
         step = np.abs(now - self._last)
         self._resolution = np.where(equal, self._resolution, np.minimum(self._resolution, step))
@@ -183,7 +204,7 @@ class InnovationTest:
             return ""
         return f"reading {self._labels[still[0]]} stands still at {now[still[0]]:.4g} while the commands move the arm"
 
-    def _beyond(self, now: Array, equal: Array, innovation: Array, bound: Array) -> str:
+    def _beyond(self, now: Array, equal: BoolArray, innovation: Array, bound: Array) -> str:
         """Correct the observers, and return a text for a value with several innovations beyond their bound."""
         lost = equal & (self._repeats <= REPEATS)
         excess = (np.abs(innovation) > bound) & ~lost
@@ -195,4 +216,3 @@ class InnovationTest:
         i = wrong[0]
         predicted = f"{now[i] - innovation[i]:.4g} +- {bound[i]:.2g} by the model"
         return f"reading {self._labels[i]} is {now[i]:.4g}, but {predicted}"
-

@@ -181,7 +181,7 @@ class MachineServer:
 
     def _queue_readings(self, now: float) -> None:
         """Queue packets with the readings, changed by the disturbances and the fault."""
-        given, fault = self._disturbances, self._fault
+        fault = self._fault
         if fault == "kill":
             os._exit(1)
         values = self.arm.readings(self._names)

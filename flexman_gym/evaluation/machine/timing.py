@@ -100,7 +100,9 @@ class TimingTest:
         self._slow = self._slow + 1 if step > LONG else 0
         self._fast = self._fast + 1 if step < 1.0 / LONG else 0
         if self._slow >= SLOW or self._fast >= FAST:
-            return f"the machine stamps a sample every {1e3 * step * self._period:.3g} ms, not {1e3 * self._period:g} ms"
+            return (
+                f"the machine stamps a sample every {1e3 * step * self._period:.3g} ms, not {1e3 * self._period:g} ms"
+            )
         if self._drifts >= DRIFTS:
             count = len(self._receipts) - 1
             return f"the clock of the machine is wrong by {1e3 * drift * self._period:.3g} ms in {count} readings"

@@ -220,16 +220,30 @@ class _FailingMode:
         return self._mode.act(*arguments) * (np.nan if self._left < 0 else 1.0)
 
 
-FAULTS = {  # name -> fault of the machine, or of the agent
-    "agent killed": "", "agent raises an exception": "no solution", "agent commands NaN": "",
-    "machine killed": "kill", "machine silent": "silent", "replayed packets": "replay", "clock stands": "clock stands",
-    "clock jumps by 50 periods": "clock jumps", "clock runs twice as fast": "clock drifts",
-    "readings 2.5 periods late": "late", "readings every half period": "fast", "readings every second period": "slow",
-    "four of five packets lost": "lossy", "NaN reading": "nan", "all readings frozen": "frozen",
-    "encoders frozen": "frozen encoders", "one joint frozen": "frozen joint", "rates reversed": "rates reversed",
-    "angles shifted": "bias", "angles in degrees": "degrees", "joints swapped": "joints swapped",
-    "torque reading of 2000 limits": "torque",
+KINDS = {  # row of the page -> names of its faults -> fault of the machine, or text of the exception of the agent
+    "agent killed, raises an exception, or commands NaN": {
+        "agent killed": "", "agent raises an exception": "no solution", "agent commands NaN": "",
+    },
+    "machine killed or silent, packets replayed": {
+        "machine killed": "kill", "machine silent": "silent", "replayed packets": "replay",
+    },
+    "clock stands, jumps, or runs twice as fast": {
+        "clock stands": "clock stands", "clock jumps": "clock jumps", "clock runs twice as fast": "clock drifts",
+    },
+    "readings 2.5 periods late": {"readings 2.5 periods late": "late"},
+    "readings every half or every second period": {
+        "readings every half period": "fast", "readings every second period": "slow",
+    },
+    "four of five packets lost": {"four of five packets lost": "lossy"},
+    "readings frozen: all, encoders, or one joint": {
+        "all readings frozen": "frozen", "encoders frozen": "frozen encoders", "one joint frozen": "frozen joint",
+    },
+    "NaN, reversed rates, shifted angles, degrees, joints swapped, torque": {
+        "NaN reading": "nan", "rates reversed": "rates reversed", "angles shifted": "bias",
+        "angles in degrees": "degrees", "joints swapped": "joints swapped", "torque reading of 2000 limits": "torque",
+    },
 }  # fmt: skip
+FAULTS = {name: fault for kind in KINDS.values() for name, fault in kind.items()}
 OF_AGENT = tuple(FAULTS)[:3]
 REAL = (*OF_AGENT, "machine killed")  # faults of processes, measured in real time, the others in virtual time
 NOT_OF_ONE_JOINT = ("joints swapped",)  # faults that an arm of one joint cannot have

@@ -5,15 +5,15 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from flexman_gym.common.markdown import markdown_table
-from studies.drive.measure import FAULTS, LOOPS, FaultRow, LoopRow, RoundTripRow, UndisturbedRow
+from studies.drive.measure import KINDS, LOOPS, OF_AGENT, FaultRow, LoopRow, RoundTripRow, UndisturbedRow
 from studies.screen import screen
 
 QUESTION = "Does an agent move a machine in real time as in a simulation, and what happens if a part of the loop fails?"
 ANSWER = """**With real-time priority `{0}` settles in {1} and `{2}` in {3} (medians of {4}). Each of {5} faults of the
-machine is noticed within {6} control periods, and none of {7} undisturbed runs is stopped.**"""
+machine is noticed within {6} control periods, and {8} of {7} undisturbed runs are stopped.**"""
 BODY = """{table}
 
-Rows: the faults of the loops of {agents}. *Noticed*: most periods from the first wrong readings to the last of the
+Faults in the loops of {agents}. *Noticed*: most periods from the first wrong readings to the last of the
 loop; *rest*: longest time until all motors are below the speed at which the tip moves by its band in a quarter of a
 slew. Undisturbed: {environment}, one packet in ten lost, readings late by half a period on average. A test of the
 values takes {test:.1f} ms, after the torques were sent. The machine has its own process behind UDP; faults of packets
@@ -24,16 +24,6 @@ and values are in virtual time. Load average of the two cores: {load}.
 - **1 % of the packets lost** ({lost_count}): {lost}.
 - **Torques from their arrival** ({arrival_count}): {arrival}.
 - **Round trip**: `fm.fit` finds a stiffness changed by 20 % within {fit:.2%}."""
-KINDS = {  # row of the table -> its faults
-    "agent killed, raises an exception, or commands NaN": list(FAULTS)[:3],
-    "machine killed or silent, packets replayed": list(FAULTS)[3:6],
-    "clock stands, jumps or runs twice as fast": list(FAULTS)[6:9],
-    "readings 2.5 periods late": list(FAULTS)[9:10],
-    "readings every half or every second period": list(FAULTS)[10:12],
-    "four of five packets lost": list(FAULTS)[12:13],
-    "readings frozen: all, encoders, or one joint": list(FAULTS)[14:17],
-    "NaN, reversed rates, shifted angles, degrees, joints swapped, torque": [*list(FAULTS)[13:14], *list(FAULTS)[17:]],
-}
 LOOP = """- **`{agent}`, {rate:.0f} Hz**: late by {late:.4f} ms (median; at most {most:.2g} ms), torques {delay:.1f} ms
   later, {missed} missed; vibration {vibration:.2g} mm (simulation {simulated:.2g} mm)."""
 
@@ -68,10 +58,10 @@ def page(
         load=f"{min(loads):.2g} to {max(loads):.2g}", loops="\n".join(map(_loop, main)),
         fit=max(abs(row.found / row.true - 1.0) for row in fits), **text,
     )  # fmt: skip
-    lies = [row for row in faults if row.fault in list(FAULTS)[3:] and np.isfinite(row.noticed)]
+    lies = [row for row in faults if row.fault not in OF_AGENT and np.isfinite(row.noticed)]
     most = f"{max(row.noticed for row in lies):.0f}"
-    count = f"{runs:.0f}" if not stopped else f"{runs:.0f} ({stopped:.0f} were)"
-    answer = ANSWER.format(*words, _episodes(min(row.episodes for row in main)), len(lies), most, count)
+    counts = f"{runs:.0f}", f"{stopped:.0f}" if stopped else "none"
+    answer = ANSWER.format(*words, _episodes(min(row.episodes for row in main)), len(lies), most, *counts)
     return screen("Real-time loops", QUESTION, answer, body, files, "drive")
 
 
