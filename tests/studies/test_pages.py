@@ -60,8 +60,10 @@ SCREENS = {  # page -> function of its rows, and files and types of the rows
     "arm_design": (arm_design_page, {"arm_design": DesignRow, "arm_design_profiles": ProfileRow}),
     "benchmark": (benchmark_page, {"benchmark": BenchmarkRow, "endurance": EnduranceRow}),
     "derivatives": (derivatives_page, {"derivatives": DerivativeRow, "derivatives_costs": CostRow}),
-    "drive": (drive_page, {"drive": LoopRow, "drive_faults": FaultRow, "drive_undisturbed": UndisturbedRow,
-                            "drive_fits": RoundTripRow}),
+    "drive": (
+        drive_page,
+        {"drive": LoopRow, "drive_faults": FaultRow, "drive_undisturbed": UndisturbedRow, "drive_fits": RoundTripRow},
+    ),
     "faults": (faults_page, {"faults": Fault}),
     "fidelity": (fidelity_page, {"fidelity": FidelityRow, "fidelity_open": FidelityRow}),
     "machine": (machine_page, {"machine": FitRow}),

@@ -7,7 +7,6 @@ import numpy as np
 
 from flexman_gym.common.arrays import Array, BoolArray
 from flexman_gym.control.controller import Plant
-from flexman_gym.control.margins import first_order_lag
 from flexman_gym.control.observers.internal_model import DiscreteJacobians
 from flexman_gym.control.observers.kalman_filter import (
     FORCE_NOISE,
@@ -22,6 +21,7 @@ from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.kernels.layout import OK
 from flexman_gym.model.dynamics import frequencies
 from flexman_gym.model.linearization import MEASUREMENT_UNITS, measurement_rows
+from flexman_gym.model.state_space import first_order_lag
 from flexman_gym.model.statics import holding_torques, rest_state
 from flexman_gym.simulation.batch import Batch
 
