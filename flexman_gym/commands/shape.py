@@ -1,13 +1,15 @@
 """Shape a trajectory so that an arm stops without vibration.
 
-SUBJECT is a CSV file of the ringing after a stop, or an arm. The trajectory is a CSV file with units in its header, or
-a JointTrajectory of ROS 2 (YAML, JSON). Without it, the modes of the arm over postures and payloads are printed, with
-the residual vibration of each input shaper and a recommendation.
+SUBJECT is a CSV file of the ringing after a stop, in any units, or an arm. The trajectory is a CSV file with units in
+its header, or a message of ROS with a JointTrajectory (YAML, JSON). Without it, the modes of the arm over postures and
+payloads are printed, with the residual vibration of each input shaper and a recommendation.
 """
 
 import argparse
 import csv
 import io
+import sys
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -62,6 +64,16 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
         "--servo", type=float, metavar="HZ", help="bandwidth of the servos of an arm (default: its motors are held)"
     )
     parser.add_argument("--picture", type=output_file, metavar="FILE", help="plot of the trajectory and its vibration")
+    parser.add_argument(
+        "--column",
+        action="append",
+        metavar="NAME",
+        help="column of a CSV file, once for each (default: all but commands, set points and temperatures of the "
+        "record, and all positions, velocities and accelerations of the trajectory)",
+    )
+    parser.add_argument(
+        "--rate", type=float, metavar="HZ", help="samples per second of the shaped trajectory (default: as given)"
+    )
     parser.add_argument("--payload", type=float, nargs=2, metavar=("LOW", "HIGH"), help="range of the payload, kg")
     parser.add_argument(
         "--postures",
@@ -75,18 +87,11 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
 
 def _run(options: argparse.Namespace) -> int:
     """Shape a trajectory and write it, or print the modes of an arm or a record; return 0."""
-    from flexman_gym.common.time_series import read_time_series
-    from flexman_gym.control.input_shaping.motion import Motion
     from flexman_gym.control.input_shaping.shaped_motion import ShapedMotion
-    from flexman_gym.identification.ringing import Ringing
 
-    ringing = None
-    if options.subject.endswith(".csv"):
-        series = read_time_series(options.subject)
-        ringing = Ringing.estimate(series.times, np.column_stack([values for _, values in series.columns.values()]))
-    if not options.trajectory:
+    ringing, motion = _read(options)
+    if motion is None:
         return _print_modes(ringing) if ringing else _compare(options)
-    motion = Motion.read(options.trajectory)
     ringing = ringing or _arm_ringing(options, motion)
     given = [each.partition("=") for each in options.limits]
     limits = {name: finite(f"--limits {name}", _number(value)) for name, _, value in given}
@@ -103,6 +108,38 @@ def _run(options: argparse.Namespace) -> int:
     if options.picture:
         _draw(found, ringing, options.picture)
     return 0
+
+
+def _read(options: argparse.Namespace) -> "tuple[Ringing | None, Motion | None]":
+    """Return the modes of a record and the trajectory, where given; print how their files were read to stderr.
+
+    A chosen column may be one of the record, of the trajectory, or of both.
+    """
+    from flexman_gym.common.tables import is_table
+    from flexman_gym.common.time_series import TimeSeries, listed
+    from flexman_gym.control.input_shaping.motion import Motion
+    from flexman_gym.identification.ringing import Ringing
+
+    files = [path for path in (options.subject, options.trajectory) if path and is_table(path)]
+    tables = {path: TimeSeries.read(path) for path in files}
+    chosen = {path: [name for name in options.column or () if each.has(name)] for path, each in tables.items()}
+    for name in options.column or ():
+        if not any(name in names for names in chosen.values()):
+            known = [each for table in tables.values() for each in table.columns]
+            raise value_error("--column", name, f"one of {listed(known)}" if known else "none without a CSV file")
+    ringing = motion = None
+    if options.subject in tables:
+        record = tables[options.subject].select(chosen[options.subject] or None)
+        print("\n".join(record.remarks), file=sys.stderr)
+        with warnings.catch_warnings(record=True, action="always", category=UserWarning) as remarks:
+            ringing = Ringing.estimate(record.times, record.table)
+        for each in remarks:
+            print(each.message, file=sys.stderr)
+    if options.trajectory:
+        motion = Motion.read(options.trajectory, options.rate, chosen.get(options.trajectory) or None)
+        if motion.remarks:
+            print("\n".join(motion.remarks), file=sys.stderr)
+    return ringing, motion
 
 
 def _number(text: str) -> object:

@@ -194,12 +194,15 @@ def _parse(text: str, ending: str, loader: type = _Loader) -> Any:
     try:
         if ending == ".json":
             return json.loads(text, object_pairs_hook=_Mapping)
-        return yaml.load(text, Loader=loader)
+        documents = [each for each in yaml.load_all(text, Loader=loader) if each is not None]  # the last may be empty
     except yaml.MarkedYAMLError as error:
         line = error.problem_mark.line + 1 if error.problem_mark else 0
         raise ValueError(f"line {line}: {error.problem}; give valid YAML") from None
     except (yaml.YAMLError, ValueError) as error:
         raise ValueError(f"{' '.join(str(error).split())}; give valid {ending[1:].upper()}") from None
+    if len(documents) > 1:
+        raise ValueError(f"{len(documents)} documents separated by --- are not allowed; give one")
+    return documents[0] if documents else None
 
 
 def _tree(path: str, data: Any) -> Any:

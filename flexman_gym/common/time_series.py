@@ -1,10 +1,8 @@
-"""Time series in CSV files, with a quantity and a unit for each column."""
+"""Time series in CSV files, with a name and a unit for each column."""
 
 import csv
-import io
-import math
-from array import array
-from collections.abc import Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -12,26 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexman_gym.common.arrays import Vector
-from flexman_gym.common.checks import MAX_ENTRIES, one_of, sequence, short_path, value_error
-from flexman_gym.common.files import regular_file, write_file
+from flexman_gym.common.checks import sequence, value_error, warn_caller
+from flexman_gym.common.clock import MAX_SHOWN, TIME_UNITS, EqualTimes, find_clock, is_time, join_seconds
+from flexman_gym.common.files import write_file
+from flexman_gym.common.tables import Table, open_text, read_table, short_lines, table_name
+from flexman_gym.common.units import UNITS, is_command, is_counter, split_header
 
-MAX_CSV_BYTES = 200_000_000  # bytes of a CSV file
-MAX_LINE_LENGTH, MAX_HEADER_LENGTH = 100_000, 100  # characters of a line, and of the header of a column
-MAX_NAME_LENGTH = 40  # characters of the name of a file in an error
-MIN_SAMPLES = 4  # times of a record in equal steps
-DEGREE = math.pi / 180.0
-# Unit -> SI unit and conversion factor.
-UNITS: dict[str, tuple[str, float]] = {
-    "s": ("s", 1.0), "ms": ("s", 1e-3), "us": ("s", 1e-6),
-    "N m": ("N m", 1.0), "Nm": ("N m", 1.0), "mN m": ("N m", 1e-3), "kN m": ("N m", 1e3),
-    "N": ("N", 1.0), "mN": ("N", 1e-3), "kN": ("N", 1e3),
-    "rad": ("rad", 1.0), "mrad": ("rad", 1e-3), "deg": ("rad", DEGREE),
-    "rad/s": ("rad/s", 1.0), "deg/s": ("rad/s", DEGREE),
-    "rad/s^2": ("rad/s^2", 1.0), "deg/s^2": ("rad/s^2", DEGREE),
-    "m": ("m", 1.0), "mm": ("m", 1e-3), "m/s": ("m/s", 1.0),
-    "m/s^2": ("m/s^2", 1.0), "mm/s^2": ("m/s^2", 1e-3), "g": ("m/s^2", 9.80665),
-    "A": ("A", 1.0), "mA": ("A", 1e-3), "J": ("J", 1.0), "1": ("1", 1.0), "um/m": ("1", 1e-6),
-}  # fmt: skip
+MAX_MISSING = 0.1  # fraction of the lines without a number in one of the columns; above it, their times differ
+Column = tuple[str, NDArray[np.float64]]
 
 
 class TimeSeries(NamedTuple):
@@ -40,77 +26,230 @@ class TimeSeries(NamedTuple):
     Attributes:
         path: path of the file.
         times: times (T,), s.
-        columns: SI unit and values (T,) of each column, by its name.
-        headers: header and factor of its unit of each column of the file, by its name; "time" among them.
+        columns: SI unit, "" for an unknown one, and values (T,) of each column, by its name.
+        headers: header and factor of its unit of each column, by its name; "time" among them.
+        notes: assumptions, and lines and columns that were not read, of one line each.
     """
 
     path: Path
     times: NDArray[np.float64]
-    columns: Mapping[str, tuple[str, NDArray[np.float64]]]
+    columns: Mapping[str, Column]
     headers: Mapping[str, tuple[str, float]]
+    notes: tuple[str, ...] = ()
 
-    def values(self, units: Sequence[str], names: object = None) -> NDArray[np.float64]:
-        """Return the columns `names` (T, c), in units among `units` (SI); for None all columns in these units."""
-        available = [name for name, (unit, _) in self.columns.items() if unit in units]
-        if not available:
+    @classmethod
+    def read(cls, path: str | Path) -> "TimeSeries":
+        """Read the time and all columns with numbers, NaN where one is missing; see `read_time_series`."""
+        table = read_table(path)
+        names, notes = _names(table), list(table.notes)
+        joined = join_seconds(names, table.values)
+        clock = find_clock(table_name(path), names, table.values, table.texts, table.headers is not None)
+        columns: dict[str, Column] = {}
+        headers: dict[str, tuple[str, float]] = {}
+        counts, empty, repeated = Counter({"time": 1}), list[str](), list[str]()
+        for i, (name, unit) in enumerate(names):
+            header, values = _header(table, i), table.values[:, i]
+            has_numbers = bool(np.isfinite(values).any())
+            if i == clock.column:
+                headers["time"] = header or "time", UNITS[clock.unit][1]
+            elif i not in joined and has_numbers:
+                label = name
+                while label in counts:
+                    counts[name] += 1
+                    label = f"{name}_{counts[name]}"
+                counts[label] = max(counts[label], 1)
+                repeated += [label] * (label != name)
+                si, factor = UNITS.get(unit, ("", 1.0))
+                columns[label], headers[label] = (si, factor * values), (header or label, factor)
+            elif i not in joined and (header or i in table.texts):
+                empty.append(name)
+        notes += [f"{listed(repeated)} read: names that occur again"] * bool(repeated)
+        notes += [f"{listed(empty)} not read: no numbers"] * bool(empty)
+        if not columns:
             raise value_error(
-                f"{_name(self.path)}: the header", list(self.columns), f"a column in {' or '.join(units)}"
+                f"{table_name(path)}: the columns", [name for name, _ in names], "columns beside the time"
             )
-        chosen = available if names is None else sequence("columns", names, "names")
-        listed = [one_of(f"{_name(self.path)}: columns[{i}]", name, available) for i, name in enumerate(chosen)]
-        return np.column_stack([self.columns[name][1] for name in listed])
+        return cls(Path(path), clock.times, columns, headers, (*notes, *clock.notes))
+
+    @property
+    def table(self) -> NDArray[np.float64]:
+        """Values (T, c) of all columns."""
+        return np.column_stack([values for _, values in self.columns.values()])
+
+    @property
+    def remarks(self) -> list[str]:
+        """How the file was read, such as "ring.csv: read as time in s, acceleration in g", and its notes."""
+        units = {factor: unit for unit in TIME_UNITS for factor in [UNITS[unit][1]]}
+        groups: dict[str, list[str]] = {f"in {units[self.headers['time'][1]]}": ["time"]}
+        for name in self.columns:
+            groups.setdefault(self._in_unit(name), []).append(name)
+        parts = [f"{listed(names)} {unit}" for unit, names in groups.items()]
+        return [f"{table_name(self.path)}: {line}" for line in (f"read as {', '.join(parts)}", *self.notes)]
+
+    def values(self, units: Sequence[str], columns: Sequence[str] | None = None) -> NDArray[np.float64]:
+        """Return the values (T, c) of some columns; see `select`."""
+        return self.select(columns, units).table
+
+    def in_equal_steps(self, linear: Collection[str] = ()) -> "TimeSeries":
+        """Return the time series in equal steps, by cubic splines where its steps vary; see `EqualTimes`.
+
+        Args:
+            linear: columns that may jump, which are interpolated linearly.
+        """
+        from scipy.interpolate import make_interp_spline
+
+        even = EqualTimes.of(table_name(self.path), self.times)
+        columns = dict(self.columns)
+        if even.is_interpolated:
+            for name, (unit, values) in columns.items():
+                order = 1 if name in linear else 3
+                columns[name] = unit, make_interp_spline(self.times, values, order)(even.times)
+        notes = (*self.notes, even.note) if even.note else self.notes
+        return self._replace(times=even.times, columns=columns, notes=notes)
+
+    def warn(self) -> "TimeSeries":
+        """Issue a UserWarning for each note; return the time series."""
+        for line in self.remarks[1:]:
+            warn_caller(line)
+        return self
+
+    def select(self, columns: Sequence[str] | None = None, units: Sequence[str] | None = None) -> "TimeSeries":
+        """Return the time series of some columns, without the lines in which one of them has no number.
+
+        Args:
+            columns: names, with the unit of a column that has none in the file: "q_1" or "q_1 (rad)". None selects all
+                columns but counts of lines, other times, and those named as commands, set points or temperatures.
+                The latter are selected if there are no others.
+            units: SI units of the columns; None for any, even an unknown one.
+
+        Raises:
+            ValueError: for an unknown name, another unit, and more than MAX_MISSING of the lines without a number.
+        """
+        if columns is None:
+            return self._readings(units)._complete()
+        found: dict[str, Column] = {}
+        headers = {**self.headers}
+        for i, each in enumerate(sequence("columns", columns, "names")):
+            name, unit = self._find(f"columns[{i}]", str(each), units)
+            found[name], headers[name] = self.columns[name], self.headers[name]
+            if unit:
+                si, factor = UNITS[unit]
+                found[name], headers[name] = (si, factor * found[name][1]), (f"{headers[name][0]} ({unit})", factor)
+            if units is not None and found[name][0] not in units:
+                raise self._unit_error([name], units)
+        if not found:
+            raise value_error(f"{table_name(self.path)}: columns", columns, "at least one name")
+        headers = {name: headers[name] for name in ("time", *found)}
+        return self._replace(columns=found, headers=headers)._complete()
+
+    def has(self, given: str) -> bool:
+        """Return True for the name of a column, perhaps with its unit."""
+        try:
+            return bool(self._find("", given, None))
+        except ValueError:
+            return False
+
+    def _find(self, field: str, given: str, units: Sequence[str] | None) -> tuple[str, str]:
+        """Return the name of a chosen column, and the given unit if the file has none for it."""
+        name, unit = split_header(given)
+        of_header = {header: each for each, (header, _) in self.headers.items() if each != "time"}
+        of_small = {each.lower(): each for each in self.columns}
+        tried = (given, of_header.get(given), of_small.get(given.lower()), name, of_small.get(name.lower()))
+        found = next((each for each in tried if each in self.columns), None)
+        fitting = [each for each, (known, _) in self.columns.items() if units is None or known in ("", *units)]
+        if found not in fitting:
+            raise value_error(f"{table_name(self.path)}: {field}", given, f"one of {listed(fitting)}")
+        known = self.columns[str(found)][0]
+        if name == found and unit and UNITS.get(unit, ("",))[0] != known and (known or unit not in UNITS):
+            allowed = f"{found} {self._in_unit(str(found))}, as in the file"
+            raise value_error(f"{table_name(self.path)}: {field}", given, allowed)
+        return str(found), unit if not known and unit in UNITS else ""
+
+    def _readings(self, units: Sequence[str] | None) -> "TimeSeries":
+        """Return the columns of readings in some units."""
+        fitting = [name for name, (unit, _) in self.columns.items() if units is None or unit in units]
+        if not fitting:
+            raise self._unit_error([*self.columns], units or ())
+        reasons: dict[str, list[str]] = {}
+        without = [] if units is None else [name for name, (unit, _) in self.columns.items() if not unit]
+        if without:
+            reasons["no known unit"] = without
+        for name in fitting:
+            values = self.columns[name][1]
+            known = values[np.isfinite(values)]
+            if is_time(name):
+                reasons.setdefault("another time", []).append(name)
+            elif is_counter(name) and len(known) > 2 and (np.diff(known) == 1.0).all():
+                reasons.setdefault("count of lines", []).append(name)
+            elif len(known) < (1.0 - MAX_MISSING) * len(values):
+                reasons.setdefault(f"numbers in {100 * len(known) / len(values):.2g} % of the lines", []).append(name)
+        kept = [name for name in fitting if not any(name in names for names in reasons.values())]
+        commands = [name for name in kept if is_command(name)]
+        if commands and len(commands) < len(kept):
+            reasons["command, set point or temperature by name"] = commands
+            kept = [name for name in kept if name not in commands]
+        notes = [f"{listed(names)} not read: {reason}" for reason, names in reasons.items()]
+        if not kept:
+            raise ValueError(f"{table_name(self.path)}: {'; '.join(notes)}; choose columns (--column, columns=)")
+        columns = {name: self.columns[name] for name in kept}
+        headers = {name: each for name, each in self.headers.items() if name in kept or name == "time"}
+        return self._replace(columns=columns, headers=headers, notes=(*self.notes, *notes))
+
+    def _in_unit(self, name: str) -> str:
+        """Return the unit of a column as it is written in the file, with a preposition."""
+        unit = split_header(self.headers[name][0])[1]
+        return f"in {unit}" if unit else "without a unit"
+
+    def _unit_error(self, names: Sequence[str], units: Sequence[str]) -> ValueError:
+        """Return the error of columns without the units that are needed."""
+        known = ", ".join(each for each, (si, _) in UNITS.items() if si in units)
+        given = listed([f"{name} {self._in_unit(name)}" for name in names])
+        allowed = f"columns in one of {known}, in the header or as a chosen column 'NAME (UNIT)'"
+        return value_error(f"{table_name(self.path)}: the units", given, allowed)
+
+    def _complete(self) -> "TimeSeries":
+        """Return the time series without the lines in which a number is missing."""
+        known = np.column_stack([np.isfinite(self.times), np.isfinite(self.table)])
+        some, full = known[:, 1:].any(axis=1), known.all(axis=1)
+        missing, count = int((some & ~full).sum()), int(some.sum())
+        if missing > MAX_MISSING * count:
+            given = f"numbers missing in {100 * missing / count:.3g} % of the lines"
+            raise value_error(
+                f"{table_name(self.path)}: columns",
+                given,
+                f"at most {100 * MAX_MISSING:.0f} %, or fewer columns (--column, columns=)",
+            )
+        notes = [f"{len(known) - count} line(s) without numbers in these columns not read"] * (count < len(known))
+        if missing:
+            first = self.times[int(np.argmax(some & ~full))]
+            notes.append(f"{missing} of {count} lines lack a number, the first at {first:.6g} s: not read")
+        columns = {name: (unit, values[full]) for name, (unit, values) in self.columns.items()}
+        return self._replace(times=self.times[full], columns=columns, notes=(*self.notes, *notes))
 
 
-def read_time_series(path: str | Path) -> TimeSeries:
-    """Read a CSV file with a header such as "time (s),torque_1 (N m)" and one line of numbers per time.
+def read_time_series(
+    path: str | Path, columns: Sequence[str] | None = None, units: Sequence[str] | None = None
+) -> TimeSeries:
+    """Read columns over time from a CSV file, converted to SI units.
 
-    The column "time" may be at any position. Units must be in `UNITS`; numbers are converted to SI units.
+    Separators, decimal commas and comments are found as in `read_table`, the time and its unit as in `find_clock`.
+    Units are those of `UNITS`, in the usual spellings, in brackets behind a name, in a line below the headers, or at
+    the end of a name such as q_deg. The attribute `notes` lists what was assumed and what was not read.
 
     Args:
         path: path of the file.
+        columns: names of the columns; None for all readings, see `TimeSeries.select`.
+        units: SI units that are needed, such as ("rad", "m"); None for any, even an unknown one.
 
     Raises:
         FileNotFoundError: if the file does not exist.
-        ValueError: as in `read_csv_rows`, and for a header without a time, with a repeated name or with an unknown
-            unit, and for a line without a finite number in each column, with a one-line message: the file, the line
-            number and what is allowed. The text of a file without any unit in its header is not shown.
+        ValueError: as in `read_table`, `find_clock` and `TimeSeries.select`, with a one-line message.
     """
-    file, rows, numbers = _name(path), read_csv_rows(path), array("d")
-    texts = next(rows, [])
-    headers = _headers(file, texts)
-    names = [name for name, _, _ in headers]
-    if "time" not in names or len(set(names)) < len(names) or len(names) < 2:
-        raise value_error(f"{file}: the header", names, "a column time (s) and other columns, each name once")
-    for number, row in enumerate(rows, 2):
-        if row:
-            numbers.extend(numbers_of_line(file, number, row, len(names)))
-    count = len(numbers) // len(names)
-    if not 0 < count <= MAX_ENTRIES:
-        raise value_error(file, f"{count} lines", f"1 to {MAX_ENTRIES} of numbers")
-    table = np.array(numbers).reshape(count, -1) * [factor for _, _, factor in headers]
-    columns = {name: (unit, table[:, i]) for i, (name, unit, _) in enumerate(headers)}
-    unit, times = columns.pop("time")
-    one_of(f"{file}: the unit of time", unit, ("s",))
-    written = {name: (text.strip(), factor) for text, (name, _, factor) in zip(texts, headers, strict=True)}
-    return TimeSeries(Path(path), times, columns, written)
-
-
-def uniform_period(name: str, times: Vector) -> float:
-    """Return the period (s) of times (T,) in equal steps, T > 3, up to rounding by a quarter of a step."""
-    moments = np.asarray(times, dtype=np.float64)
-    if len(moments) < MIN_SAMPLES or (np.diff(moments) <= 0.0).any():
-        wrong = int(np.argmax(np.diff(moments) <= 0.0)) + 1 if len(moments) >= MIN_SAMPLES else 0
-        given = f"{moments[wrong]:g} after {moments[wrong - 1]:g} s" if wrong else f"{len(moments)} times"
-        raise value_error(f"{name}: time", given, f"at least {MIN_SAMPLES} increasing times")
-    period = float(moments[-1] - moments[0]) / (len(moments) - 1)
-    if np.abs(moments - moments[0] - period * np.arange(len(moments))).max() > 0.25 * period:
-        steps = np.diff(moments)
-        raise value_error(f"{name}: time", f"steps of {steps.min():g} to {steps.max():g} s", "equal steps")
-    return period
+    return TimeSeries.read(path).select(columns, units)
 
 
 def read_csv_rows(path: str | Path) -> Iterator[list[str]]:
-    """Read a CSV file line by line.
+    """Read a CSV file of this package line by line.
 
     Args:
         path: path of the file.
@@ -125,15 +264,11 @@ def read_csv_rows(path: str | Path) -> Iterator[list[str]]:
             contains the name of the file but not its text.
     """
     try:
-        content = regular_file(path, MAX_CSV_BYTES).read_bytes()
-        count = max(content.count(b"\n"), content.count(b"\r"))
-        if count > MAX_ENTRIES + 1:
-            raise ValueError(f"{count} lines are not allowed; give 1 to {MAX_ENTRIES} of numbers")
-        yield from csv.reader(_short_lines(io.TextIOWrapper(io.BytesIO(content), encoding="utf-8-sig", newline="")))
+        yield from csv.reader(short_lines(open_text(path, "utf-8-sig")))
     except (UnicodeDecodeError, csv.Error) as error:
-        raise ValueError(f"{_name(path)}: {error}; give UTF-8 text with commas") from None
+        raise ValueError(f"{table_name(path)}: {error}; give UTF-8 text with commas") from None
     except ValueError as error:
-        raise ValueError(f"{_name(path)}: {error}") from None
+        raise ValueError(f"{table_name(path)}: {error}") from None
 
 
 def write_csv(path: str | Path, columns: Mapping[str, Vector]) -> None:
@@ -149,47 +284,20 @@ def write_csv(path: str | Path, columns: Mapping[str, Vector]) -> None:
     write_file(path, text.getvalue())
 
 
-def _name(path: str | Path) -> str:
-    """Return the name of a file, shortened for an error message."""
-    return short_path(Path(path).name, MAX_NAME_LENGTH)
+def _header(table: Table, i: int) -> str:
+    """Return the header of a column with its unit in brackets, "" without."""
+    header = table.headers[i] if table.headers else ""
+    return f"{header} ({table.units[i]})" if table.units[i] and header else header
 
 
-def _short_lines(file: io.TextIOWrapper) -> Iterator[str]:
-    """Yield the lines of a file after checking that none is longer than MAX_LINE_LENGTH."""
-    while line := file.readline(MAX_LINE_LENGTH + 1):
-        if len(line) > MAX_LINE_LENGTH:
-            raise ValueError(f"a line of more than {MAX_LINE_LENGTH} characters is not allowed; give shorter lines")
-        yield line
+def _names(table: Table) -> list[tuple[str, str]]:
+    """Return name and unit of each column."""
+    pairs = [split_header(_header(table, i)) for i in range(table.values.shape[1])]
+    shown = ["".join(sign if sign.isprintable() else "?" for sign in name) for name, _ in pairs]
+    return [(name or f"column {i}", unit) for i, (name, (_, unit)) in enumerate(zip(shown, pairs, strict=True), 1)]
 
 
-def _headers(file: str, headers: Sequence[str]) -> list[tuple[str, str, float]]:
-    """Return name, SI unit and conversion factor of each column."""
-    pairs = [_split_header(each) for each in headers]
-    if not any(unit in UNITS for _, unit in pairs):
-        raise ValueError(f"{file}: this is no table; give a header of names and units in brackets, such as time (s)")
-    for header, (name, unit) in zip(headers, pairs, strict=True):
-        if not name or unit not in UNITS or len(header) > MAX_HEADER_LENGTH:
-            allowed = f"a name and a unit in brackets, one of {', '.join(UNITS)}"
-            raise value_error(f"{file}: the header", header, allowed)
-    return [(name, *UNITS[unit]) for name, unit in pairs]
-
-
-def _split_header(header: str) -> tuple[str, str]:
-    """Return name and unit of a header such as "torque_1 (N m)", "" where missing."""
-    whole = header.strip()
-    start = max(whole.rfind("("), whole.rfind("["))
-    if start < 0 or whole[-1] not in ")]":
-        return whole, ""
-    unit = whole[start + 1 : -1].replace("*", " ").replace("·", " ").replace("²", "^2")
-    return whole[:start].strip(), " ".join(unit.split())
-
-
-def numbers_of_line(file: str, line: int, row: Sequence[str], count: int) -> list[float]:
-    """Return the numbers of a line."""
-    try:
-        numbers = [float(entry) for entry in row]
-    except ValueError:
-        numbers = []
-    if len(numbers) != count or not all(map(math.isfinite, numbers)):
-        raise value_error(f"{file}: line {line}", ",".join(row), f"{count} finite numbers")
-    return numbers
+def listed(names: Sequence[str]) -> str:
+    """Return names as a text, of many the first ones."""
+    rest = len(names) - MAX_SHOWN
+    return ", ".join(names[:MAX_SHOWN]) + (f" and {rest} more" if rest > 0 else "")

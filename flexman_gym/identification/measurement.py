@@ -24,7 +24,7 @@ from flexman_gym.common.checks import (
     value_error,
     vector,
 )
-from flexman_gym.common.time_series import TimeSeries, read_time_series
+from flexman_gym.common.time_series import TimeSeries
 from flexman_gym.model.linearization import column_names
 from flexman_gym.model.model import Model
 from flexman_gym.scene.arm import Arm
@@ -227,8 +227,9 @@ class Measurement:
         Raises:
             FileNotFoundError: if the file does not exist.
         """
-        record = read_time_series(path)
+        record = TimeSeries.read(path)
         inputs, outputs = _select_columns(record, inputs, outputs)
+        record = record.select([*inputs.values(), *outputs.values()]).in_equal_steps(linear=[*inputs.values()]).warn()
         signals: list[dict[str, Any]] = []
         for part in (inputs, outputs):
             read = {}

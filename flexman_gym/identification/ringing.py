@@ -1,13 +1,24 @@
 """Ringing: frequencies and damping ratios, estimated from records of free vibration, and their exact derivatives."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
 from flexman_gym.common.arrays import Array, Vector
-from flexman_gym.common.checks import flag, positive, sequence, set_fields, value_error, vector, whole_number
-from flexman_gym.common.time_series import uniform_period
+from flexman_gym.common.checks import (
+    flag,
+    positive,
+    sequence,
+    set_fields,
+    value_error,
+    vector,
+    warn_caller,
+    whole_number,
+)
+from flexman_gym.common.clock import EqualTimes
+from flexman_gym.common.time_series import read_time_series
 from flexman_gym.model.dynamics import damping_matrix, mass_matrix, stiffness_matrix
 from flexman_gym.model.model import Model
 from flexman_gym.model.vibration import EquilibriumMatrices
@@ -93,7 +104,7 @@ class Ringing:
         are the larger ones of those of white noise and those of blocks of the residuals, which may be correlated.
 
         Args:
-            times: (T,) times in equal steps, s.
+            times: (T,) times, s; steps that vary by up to half of their median are interpolated, with a UserWarning.
             values: (T,) or (T, c) readings, in any unit.
 
         Raises:
@@ -103,6 +114,20 @@ class Ringing:
         order = np.argsort(poles[:, 0])
         (frequencies, damping), (first, second) = poles[order].T, deviations[order].T
         return cls(frequencies, damping, deviation=first / frequencies, damping_deviation=second / damping)
+
+    @classmethod
+    def from_csv(cls, path: str | Path, columns: Sequence[str] | None = None) -> "Ringing":
+        """Estimate frequencies and damping ratios from a CSV file; see `read_time_series` and `estimate`.
+
+        Args:
+            path: path of the file; its columns need no units.
+            columns: names of the columns; None for all but commands, set points and temperatures.
+
+        Raises:
+            FileNotFoundError: if the file does not exist.
+        """
+        record = read_time_series(path, columns).warn()
+        return cls.estimate(record.times, record.table)
 
     def predict(self, model: Model, parameters: Mapping[str, Array], h: float) -> tuple[Array, Array]:
         """Compute the frequencies and damping ratios of a model, and their Jacobian.
@@ -170,8 +195,15 @@ def _fit_ring_down(times: Vector, values: Array) -> tuple[Array, Array]:
 
     The record begins at its largest deviation from the mean of its end; arguments as in `Ringing.estimate`.
     """
+    from scipy.interpolate import make_interp_spline
+
     moments, signals = np.asarray(times, dtype=float), np.atleast_2d(np.asarray(values, dtype=float).T).T
-    period = uniform_period("ringing", moments)
+    even = EqualTimes.of("ringing", moments)
+    if even.is_interpolated:
+        signals = make_interp_spline(moments, signals)(even.times)
+    if even.note:
+        warn_caller(f"ringing: {even.note}")
+    period = float(even.times[1] - even.times[0])
     signals = signals[:, np.ptp(signals, axis=0) > 0.0]
     if not signals.size:
         raise ValueError("ringing: constant values are not allowed; give a record of a vibration")

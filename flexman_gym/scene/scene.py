@@ -418,9 +418,10 @@ def _signal_from_plain(
     if "csv" in keys:
         options = dict(mapping(path, data, ("csv", "column", "hold", "deviation")))
         name = text(f"{path}.csv", options.pop("csv"))
-        record = read_time_series(folder / name)
+        column = text(f"{path}.column", options.pop("column", None))
+        record = read_time_series(folder / name, [column], units).warn()
         _warn_outside(f"{path}.csv", name, folder)
-        return _sampled_signal(record, text(f"{path}.column", options.pop("column", None)), units, options)
+        return _sampled_signal(record, column, options)
     if "angles" in keys and "rad" in units:
         return from_plain(SampledAngles, path, data)
     return from_plain(SampledSignal, path, data) if "times" in keys else from_plain(Signal, path, data)
@@ -457,10 +458,10 @@ def _split_samples(path: Path, data: dict[str, Any]) -> tuple[dict[str, Any], di
     return result, tables
 
 
-def _sampled_signal(record: TimeSeries, column: str, units: tuple[str, ...], options: dict[str, Any]) -> Any:
-    """Return the signal in a column of a record: SampledAngles if the unit is rad, otherwise a SampledSignal."""
-    values = record.values(units, [column])[:, 0]
-    kind: Any = SampledAngles if record.columns[column][0] == "rad" else SampledSignal
+def _sampled_signal(record: TimeSeries, column: str, options: dict[str, Any]) -> Any:
+    """Return the signal in the column of a record: SampledAngles if the unit is rad, otherwise a SampledSignal."""
+    [(unit, values)] = record.columns.values()
+    kind: Any = SampledAngles if unit == "rad" else SampledSignal
     try:
         return kind(record.times, values, **options)
     except TypeError:

@@ -62,8 +62,8 @@ class SampledSignal:
     @classmethod
     def from_csv(cls, path: str | Path, column: str, unit: str, hold: str = "zero") -> Self:
         """Read a column of a CSV file, converted to a unit (from mN to N, for example); see `read_time_series`."""
-        record = read_time_series(path)
-        return cls(record.times, record.values((unit,), [column])[:, 0], hold)
+        record = read_time_series(path, [column], (unit,)).warn()
+        return cls(record.times, record.table[:, 0], hold)
 
     @property
     def largest(self) -> float:
@@ -119,14 +119,14 @@ class SampledTorque:
         Args:
             path: path of the file.
             columns: names of the n columns, such as "torque_1", in the order of the joints; None reads all columns of
-                torques.
+                torques, without commands if there are others.
             hold: "zero" or "linear".
 
         Raises:
             FileNotFoundError: if the file does not exist.
         """
-        record = read_time_series(path)
-        return cls(record.times, record.values(("N m",), columns), hold)  # type: ignore[arg-type]
+        record = read_time_series(path, columns, ("N m",)).warn()
+        return cls(record.times, record.table, hold)  # type: ignore[arg-type]
 
     @classmethod
     def from_function(
@@ -211,8 +211,8 @@ class SampledAngles:
     @classmethod
     def from_csv(cls, path: str | Path, column: str, deviation: float = 0.0) -> Self:
         """Read a column of angles, such as "hub" of a CSV file with the header "time (s),hub (deg)"."""
-        record = read_time_series(path)
-        return cls(record.times, record.values(("rad",), [column])[:, 0], deviation)
+        record = read_time_series(path, [column], ("rad",)).warn()
+        return cls(record.times, record.table[:, 0], deviation)
 
     @cached_property
     def _spline(self) -> tuple[Any, Array]:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import value_error
-from flexman_gym.common.time_series import numbers_of_line, read_csv_rows
+from flexman_gym.common.tables import read_table, table_name
 from flexman_gym.model.dynamics import frequencies
 from flexman_gym.model.model import Model, build_model
 from flexman_gym.scene import catalog
@@ -62,12 +62,15 @@ def read_response(path: Path) -> tuple[Array, NDArray[np.complex128]]:
     Raises:
         ValueError: for other columns, too few or descending frequencies, and values that are not finite.
     """
-    names, *rows = read_csv_rows(path)
-    if tuple(name.strip() for name in names) != COLUMNS:
-        raise value_error(f"columns of {path.name}", ", ".join(names), ", ".join(COLUMNS))
-    numbers = [numbers_of_line(path.name, line, row, 3) for line, row in enumerate(rows, start=2)]
-    values = np.array(numbers, dtype=float).reshape(-1, 3)
-    hertz, response = values[:, 0], values[:, 1] + 1j * values[:, 2]
+    table = read_table(path)
+    names = [" ".join(name.split()).lower() for name in table.headers or ()]
+    if not {each.lower() for each in COLUMNS} <= {*names}:
+        raise value_error(f"columns of {table_name(path)}", ", ".join(table.headers or ()), ", ".join(COLUMNS))
+    hertz, real, imaginary = (table.values[:, names.index(each.lower())] for each in COLUMNS)
+    for line, row in zip(table.lines, np.column_stack([hertz, real, imaginary]), strict=True):
+        if not np.isfinite(row).all():
+            raise value_error(f"{table_name(path)}: line {line}", row.tolist(), "3 finite numbers")
+    response = real + 1j * imaginary
     if len(hertz) < MIN_FREQUENCIES or not (np.diff(hertz) > 0.0).all() or hertz[0] <= 0.0 or not response.all():
         raise value_error(
             f"rows of {path.name}", f"{len(hertz)}", f"at least {MIN_FREQUENCIES} ascending frequencies > 0 (Hz)"

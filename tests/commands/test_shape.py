@@ -7,7 +7,9 @@ import pytest
 
 import flexman_gym as fm
 from flexman_gym.__main__ import main
+from flexman_gym.common.files import read_data, write_data
 from flexman_gym.common.time_series import read_time_series, write_csv
+from flexman_gym.control.input_shaping.joint_trajectory import read_trajectory
 from flexman_gym.control.input_shaping.shapers import excited_modes
 from flexman_gym.control.references.trajectories import TIMING_LAWS
 from flexman_gym.envs.config.configuration import Configuration
@@ -114,6 +116,81 @@ def test_a_trajectory_is_shaped_for_a_record_and_for_an_arm(tmp_path, capsys):
         modes[0][0] == pytest.approx(modes[1][0], rel=1e-3) and max(each for mode in modes for each in mode[1:]) < 5.0
     )
     assert said(capsys, str(tmp_path / "ringing.csv"))[0].startswith("mode: ")
+
+
+def ring(path, heads, *more):
+    """Write a record of a vibration of 5.2 Hz with a damping ratio of 0.02, and other columns."""
+    times, rate = 0.005 * np.arange(600), 2.0 * np.pi * 5.2
+    values = np.exp(-0.02 * rate * times) * np.cos(rate * times)
+    rows = zip(times, values, *more, strict=True)
+    path.write_text("\n".join([heads, *(",".join(map(repr, map(float, row))) for row in rows)]))
+    return str(path)
+
+
+def test_a_record_without_units_is_read_and_told(tmp_path, capsys):
+    path = ring(tmp_path / "ring.csv", "#time,accel_x")
+    [line] = said(capsys, path)
+    assert float(line.split()[1]) == pytest.approx(5.2, rel=1e-3)
+    assert main(["shape", path]) == 0
+    assert capsys.readouterr().err == "ring.csv: read as time in s, accel_x without a unit\n"
+
+
+def test_set_points_are_no_readings_unless_chosen(tmp_path, capsys):
+    times = 0.005 * np.arange(600)
+    path = ring(tmp_path / "ring.csv", "time (s),q,q_cmd", np.exp(-1.5 * times) * np.cos(60.0 * times))
+    for given, frequency in (([], 5.2), (["--column", "q"], 5.2), (["--column", "q_cmd"], 60.0 / (2.0 * np.pi))):
+        assert float(said(capsys, path, *given)[0].split()[1]) == pytest.approx(frequency, rel=1e-3)
+    main(["shape", path])
+    assert "ring.csv: q_cmd not read: command, set point or temperature by name" in capsys.readouterr().err
+    assert main(["shape", path, "--column", "w"]) == 2
+    assert capsys.readouterr().err == "--column: 'w' is not allowed; give one of q, q_cmd\n"
+    assert main(["shape", "one_link", "--column", "w"]) == 2
+    assert capsys.readouterr().err == "--column: 'w' is not allowed; give none without a CSV file\n"
+
+
+def plan(path, count=20):
+    """Write a DisplayTrajectory of a quintic in steps of 0.1 s, the last of which is shorter."""
+    times = np.append(0.1 * np.arange(count), 0.1 * count - 0.0427)
+    part = np.polynomial.Polynomial([0.0, 1.0 / times[-1]])
+    quintic = 10.0 * part**3 - 15.0 * part**4 + 6.0 * part**5
+    names = ("positions", "velocities", "accelerations")
+    points = [
+        {name: [float(quintic.deriv(k)(time) if k else quintic(time))] for k, name in enumerate(names)}
+        | {"effort": [], "time_from_start": {"sec": int(time), "nanosec": round(1e9 * (time % 1.0))}}
+        for time in times.tolist()
+    ]
+    write_data(path, {"trajectory": [{"joint_trajectory": {"joint_names": ["a"], "points": points}}]})
+    return str(path)
+
+
+def vibration(path):
+    """The vibration of 5.2 Hz that the polynomials between the points of a file excite."""
+    points, _ = read_trajectory("plan", read_data(path))
+    times, rate = np.linspace(points.times[0], points.times[-1], 40001), 2.0 * np.pi * 5.2
+    rate *= (-0.02 + 1j * np.sqrt(1.0 - 0.02**2)) / np.sqrt(1.0 - 0.02**2)
+    accelerations = points.curve((2,), times)[0, :, 0]
+    return abs(np.trapezoid(accelerations * np.exp(rate * (times[-1] - times)), times))
+
+
+@pytest.mark.parametrize("given", [[], ["--rate", "100"]])
+def test_a_plan_with_a_shorter_last_step_is_shaped_at_its_rate_or_the_given_one(given, tmp_path, capsys):
+    """At 10 samples per s too, below two per cycle: the shaper acts on the polynomials between the points."""
+    record, out = ring(tmp_path / "ring.csv", "time (s),acc (m/s^2)"), tmp_path / "out.yaml"
+    assert main(["shape", record, plan(tmp_path / "plan.yaml"), "--out", str(out), *given]) == 0
+    assert "plan.yaml: 21 points in steps of 57.3 ms to 100 ms are sampled at steps of" in capsys.readouterr().err
+    points, orders = read_trajectory("plan", read_data(out))
+    assert orders == (0, 1, 2) and np.diff(points.times) == pytest.approx(0.01 if given else 0.1)
+    assert points.values[0, -1] == pytest.approx([1.0]) and not points.values[1:, -1].any()
+    assert vibration(out) < 0.01 * vibration(tmp_path / "plan.yaml")
+
+
+def test_time_scaling_needs_two_samples_per_cycle(tmp_path, capsys):
+    record = ring(tmp_path / "ring.csv", "time (s),acc (m/s^2)")
+    assert main(["shape", record, plan(tmp_path / "plan.yaml"), "--shaper", "scaling"]) == 2
+    assert capsys.readouterr().err.splitlines()[-1] == (
+        "motion: '10 samples per s for a mode at 5.2 Hz' is not allowed; give a motion with more than 10.4 samples "
+        "per s (--rate)"
+    )
 
 
 def test_the_old_name_is_deprecated(capsys):

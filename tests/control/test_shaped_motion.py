@@ -137,11 +137,13 @@ GOOD = "\n".join(f"{0.004 * i:.3f},{min(max(i - 20, 0), 100) / 100:.4f}" for i i
 @pytest.mark.parametrize(
     ("text", "line"),
     [
-        ("time (s),a (V)\n" + GOOD, "move.csv: the header: 'a (V)' is not allowed; give a name and a unit"),
-        ("time (s),a (N m)\n" + GOOD, "move.csv: the unit of a: 'N m' is not allowed; give one of rad"),
-        ("time (s),a (rad)\n0,0\n0.1,0\n0.05,1\n0.2,1", "move.csv: time: '0.05 after 0.1 s' is not allowed"),
-        ("time (s),a (rad)\n0,0\n0.1,nan\n0.2,1\n0.3,1", "move.csv: line 3: '0.1,nan' is not allowed"),
-        ("time (s),a (rad)\n0,0\n0.1,0\n0.2,1\n0.9,1", "move.csv: time: 'steps of 0.1 to 0.7 s' is not allowed"),
+        ("time (s),a (V)\n" + GOOD, "move.csv: the units: 'a in V' is not allowed; give columns in one of rad, mrad"),
+        ("time (s),a\n" + GOOD, "move.csv: the units: 'a without a unit' is not allowed; give columns in one of rad"),
+        ("time (s),a (rad/s)\n" + GOOD, "move.csv: the columns: ['a'] is not allowed; give at least one position"),
+        ("time (s),a (rad)\n0,0\n0.1,0\n0.05,1\n0.2,1", "move.csv: time: '0.05 after 0.1' is not allowed"),
+        ("time (s),a (rad)\n0,0\n0.1,0\n0.1,1\n0.2,1", "move.csv: time: '0.1 after 0.1 s' is not allowed"),
+        ("time (s),a (rad)\n0,0\n0.1,nan\n0.2,1\n0.3,1", "move.csv: a not read: numbers in 75 % of the lines"),
+        ("time (s),a (rad)\n0,0\n1,0\n2,1", "move.csv: points: '3 positions' is not allowed; give 4 or more"),
         ("time (s),a (rad)\n0,0\n0.1,0\n0.2,1\n0.3,2", "move.csv: the speed at the end: '10 rad/s or m/s'"),
         ("time (s),a (rad)\n0,0\n0.1,0\n0.2,0\n0.3,0", "move.csv: a motion at rest is not allowed"),
     ],

@@ -53,8 +53,9 @@ class ShapedMotion(NamedTuple):
     ) -> "ShapedMotion":
         """Return the shortest shaped motion whose residual vibration is at most `residual` for every mode.
 
-        A shaper is a convolution of shapers for single modes, sampled with the period of the motion. For the choice the
-        frequencies and damping ratios have the standard deviations FREQUENCY_DEVIATION and DAMPING_DEVIATION at least.
+        A shaper is a convolution of shapers for single modes, sampled with the period of the motion. It acts on the
+        polynomials between samples with velocities in the same way as on the samples. For the choice the frequencies
+        and damping ratios have the standard deviations FREQUENCY_DEVIATION and DAMPING_DEVIATION at least.
 
         Args:
             motion: the motion, at rest at both ends.
@@ -65,8 +66,8 @@ class ShapedMotion(NamedTuple):
                 motion is slowed down as far as necessary.
 
         Raises:
-            ValueError: for a mode above half the sampling rate, for a damping ratio above MAX_DAMPING, for a result of
-                more than MAX_SAMPLES samples, and if nothing meets the residual.
+            ValueError: for a mode above half the sampling rate of a motion without velocities, for a damping ratio
+                above MAX_DAMPING, for a result of more than MAX_SAMPLES samples, and if nothing meets the residual.
         """
         if not 0.0 < positive("residual", residual) < 1.0:
             raise value_error("residual", residual, "a number > 0 and < 1")
@@ -74,8 +75,11 @@ class ShapedMotion(NamedTuple):
         bounds = {
             name: physical(f"limits.{name}", each) for name, each in mapping("limits", limits or {}, LIMITS).items()
         }
-        modes = _checked_modes(ringing, motion.period)
+        modes = _checked_modes(ringing, motion)
         _check_size(motion, modes, SHAPERS if shaper == AUTO else {shaper} & SHAPERS.keys())
+        sampled = bool((ringing.measured[: len(modes)] < 0.5 / motion.period).all())
+        if shaper == SCALING and not sampled:
+            raise _rate_error(motion.period, max(ringing.frequencies))
         boxes = _boxes(ringing, FREQUENCY_DEVIATION, DAMPING_DEVIATION)
         best, least = None, (np.inf, "")
         for name, fractions in sorted(
@@ -90,7 +94,7 @@ class ShapedMotion(NamedTuple):
                 if best is None or len(shaped.values) < len(best.motion.values):
                     left = [_shaper_residuals(fractions, motion.period, box) for box in _boxes(ringing)]
                     best = cls(name, shaped, base, _ranges(left))
-        if shaper in (AUTO, SCALING):
+        if shaper in (AUTO, SCALING) and sampled:
             best = _slower(motion, ringing, residual, bounds, best)
         if best is None:
             found = (
@@ -100,7 +104,7 @@ class ShapedMotion(NamedTuple):
         return best
 
 
-def _checked_modes(ringing: Ringing, period: float) -> Array:
+def _checked_modes(ringing: Ringing, motion: Motion) -> Array:
     """Return natural frequencies (Hz) and damping ratios (k, 2) after checking that they can be shaped."""
     if ringing.damping is None or not 1 <= len(ringing.frequencies) <= 2:
         raise value_error("ringing", ringing, "one or two modes with damping ratios")
@@ -109,9 +113,8 @@ def _checked_modes(ringing: Ringing, period: float) -> Array:
             raise value_error(
                 "damping", f"{ratio:.3g} at {frequency:.3g} Hz", f"at most {MAX_DAMPING:g}: this is no vibration"
             )
-        if frequency >= 0.5 / period:
-            allowed = f"a motion with more than {2 * frequency:.4g} samples per s"
-            raise value_error("motion", f"{1 / period:.4g} samples per s for a mode at {frequency:.4g} Hz", allowed)
+        if frequency >= 0.5 / motion.period and 1 not in motion.orders:
+            raise _rate_error(motion.period, frequency)
     ratios = np.array(ringing.damping)
     return np.column_stack([np.array(ringing.frequencies) / np.sqrt(1.0 - ratios**2), ratios])
 
@@ -124,6 +127,12 @@ def _check_size(motion: Motion, modes: Array, names: Collection[str]) -> None:
         longest = f"{motion.duration:.3g} s become up to {motion.duration + delay:.3g} s, {MAX_SAMPLES} samples"
         allowed = f"at most {(MAX_SAMPLES - 1) / (motion.duration + delay):.4g}: {longest}"
         raise value_error(motion.source.name, f"{1.0 / motion.period:.4g} samples per s", allowed)
+
+
+def _rate_error(period: float, frequency: float) -> ValueError:
+    """Return the error of a motion with less than two samples per cycle of a mode (Hz)."""
+    allowed = f"a motion with more than {2 * frequency:.4g} samples per s (--rate)"
+    return value_error("motion", f"{1 / period:.4g} samples per s for a mode at {frequency:.4g} Hz", allowed)
 
 
 def _boxes(ringing: Ringing, frequency: float = 0.0, damping: float = 0.0) -> list[Array]:
