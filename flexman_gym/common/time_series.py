@@ -1,6 +1,7 @@
 """Time series in CSV files, with a name and a unit for each column."""
 
 import csv
+import io
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
