@@ -7,7 +7,7 @@ from dataclasses import fields, replace
 from functools import wraps
 from typing import Any, TypeVar
 
-from flexman_gym.common.checks import KeywordError, nearest, value_error, warn_caller
+from flexman_gym.common.checks import keyword_error, nearest, warn_caller
 
 T = TypeVar("T")
 
@@ -70,7 +70,7 @@ def check_keywords(cls: type[T]) -> type[T]:
                 allowed = allowed or (
                     f"{near}, or another field of {cls.__name__}" if near else f"one of {', '.join(known)}"
                 )
-                raise KeywordError(str(value_error(f"{cls.__name__}.{name}", value, allowed)))
+                raise keyword_error(f"{cls.__name__}.{name}", value, allowed, name)
         construct(self, *values, **named)
 
     cls.__init__ = constructor  # type: ignore[method-assign]
