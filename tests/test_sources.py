@@ -68,8 +68,6 @@ IN_PLACE = {  # (file, call) -> reason why it does not write by `write_file` or 
     ("flexman_gym/envs/vector_env.py", "open('w')"): "the lock of the cache of kernels, an empty file",
     ("flexman_gym/control/lqr.py", "mkstemp"): "a cache that several processes replace at once, each by its own file",
     ("flexman_gym/control/lqr.py", "fdopen('wb')"): "the same",
-    ("flexman_gym/evaluation/c_code.py", "write_text"): "changed elsewhere",
-    ("flexman_gym/evaluation/matlab.py", "savemat"): "changed elsewhere",
 }
 
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from flexman_gym.commands import CommandLine, add_options, numbers, output_file
+from flexman_gym.commands import CommandLine, add_options, numbers, output_file, output_folder
 
 if TYPE_CHECKING:
     from flexman_gym.scene.arm import Arm
@@ -105,7 +105,9 @@ def _c_arguments(parser: argparse.ArgumentParser) -> None:
     add_options(parser, "agent", "--env", "--seed", agent=agent, seed={"help": "seed of start and goal"})
     parser.add_argument("--start", type=numbers, metavar="A,B", help="joint angles at the start, rad: --start=0.1,-0.2")
     parser.add_argument("--goal", type=numbers, metavar="A,B", help="motor angles of the goal, rad")
-    parser.add_argument("--out", type=Path, metavar="FOLDER", default=Path("controller"), help="(default: %(default)s)")
+    parser.add_argument(
+        "--out", type=output_folder, metavar="FOLDER", default="controller", help="(default: %(default)s)"
+    )
 
 
 def _c(options: argparse.Namespace) -> str:
@@ -122,7 +124,7 @@ def _matlab_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--env", default="", help="environment of the agent")
     parser.add_argument("--goal", type=numbers, metavar="A,B", help="motor angles of the linear model, rad")
     parser.add_argument(
-        "--out", type=Path, metavar="FILE", default=Path("arm.mat"), help="file to write (default: %(default)s)"
+        "--out", type=output_file, metavar="FILE", default="arm.mat", help="file to write (default: %(default)s)"
     )
 
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from flexman_gym.common.arrays import Vector
 from flexman_gym.common.checks import vector
-from flexman_gym.common.files import write_atomically
+from flexman_gym.common.files import write_file
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
@@ -53,5 +53,5 @@ def write_matlab(name: str, path: Path, environment: str = "", goal: Vector | No
     data |= dict(zip("ABCD", linear, strict=True)) | {"Ad": sampled.A, "Bd": sampled.B, "period": bare.control_period}
     data |= {each: np.array(getattr(linear, each), dtype=object) for each in ("states", "inputs", "outputs")}
     data |= {"posture": posture, "holding_torques": holding, "torque_limit": np.array(bare.torque_limit)}
-    write_atomically(path, lambda file: savemat(file, data, oned_as="column"))
+    write_file(path, lambda file: savemat(file, data, oned_as="column"))
     return sorted(data)

@@ -17,6 +17,7 @@ NOWHERE = "/proc/file.yaml"  # no file can be created there, by root neither
     ["optimise", "arm", "FlexOne-v9", "--out"], ["optimise", "slews", "FlexOne-v9", "--out"],
     ["shape", "FlexOne-v9", "--csv"], ["shape", "FlexOne-v9", "missing.csv", "--out"],
     ["shape", "FlexOne-v9", "missing.csv", "--picture"], ["evaluate", "nobody", "--save"], ["league", "--folder"],
+    ["export", "matlab", "nothing", "--out"], ["export", "c", "nobody", "--out"],
     ["export", "mujoco", "nothing", "--out"], ["export", "urdf", "nothing"], ["export", "onnx", "nobody"],
 ], ids=" ".join)  # fmt: skip
 def test_an_output_that_cannot_be_written_is_refused_before_the_subject_is_read(words, capsys):
