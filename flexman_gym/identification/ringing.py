@@ -179,6 +179,9 @@ class Ringing:
 
 
 MIN_CYCLES = 2.0  # cycles of a mode in the record
+MIN_SAMPLES = 16  # readings in a fit
+CLIPPED = 3  # equal extreme readings in a row that show a limit of the sensor
+PROOF = 4.0  # standard deviations of a damping ratio above 0 that prove a decay
 MIN_AMPLITUDE = 0.01  # fraction of the root mean square of the record; smaller second modes are noise
 MIN_EXPLAINED = 0.5  # fraction of the variance that damped sinusoids explain
 MAX_DAMPING = 0.5  # damping ratio; a larger one is no vibration
@@ -208,6 +211,9 @@ def _fit_ring_down(times: Vector, values: Array) -> tuple[Array, Array]:
     if not signals.size:
         raise ValueError("ringing: constant values are not allowed; give a record of a vibration")
     signals = np.asarray(signals / signals.std(axis=0), dtype=np.float64)
+    signals = signals[_end_of_clipping(signals) :]
+    if len(signals) < MIN_SAMPLES:
+        raise value_error("ringing", f"{len(signals)} readings after the last one at a limit", f"{MIN_SAMPLES} or more")
     away = np.abs(signals - signals[-len(signals) // 4 :].mean(axis=0)).sum(axis=1)
     first = int(away.argmax())
     signals = signals[first if first < len(signals) // 2 else 0 :]
@@ -234,8 +240,34 @@ def _fit_ring_down(times: Vector, values: Array) -> tuple[Array, Array]:
             f"{100 * MIN_EXPLAINED:.0f} %; give a record that starts when the arm stops"
         )
     ringing = np.flatnonzero(poles[:, 1] < max(TRANSIENT_DAMPING, poles[:, 1].min() * 1.001))[:MOST_MODES]
-    _check_modes(poles[ringing], moments[-1])
-    return poles[ringing], _standard_deviations(poles, moments, signals)[ringing]
+    deviations = _standard_deviations(poles, moments, signals)
+    proven = ringing[poles[ringing, 1] > PROOF * deviations[ringing, 1]]
+    for i in ringing[~np.isin(ringing, proven)].tolist():
+        found = f"{poles[i, 0]:.4g} Hz with a damping ratio of {poles[i, 1]:.2g} +- {deviations[i, 1]:.2g}"
+        if not len(proven):
+            allowed = "a record that proves a decay, without the tone of a motor or a fan"
+            raise value_error("ringing", found, allowed)
+        warn_caller(f"ringing: {found} does not decay and is left out")
+    _check_modes(poles[proven], moments[-1])
+    return poles[proven], deviations[proven]
+
+
+def _end_of_clipping(signals: Array) -> int:
+    """Return the index after the last reading at a limit of the sensor, with a UserWarning for such readings.
+
+    A reading is at a limit if at least CLIPPED of its neighbours in a row have the same value, which is the largest or
+    the smallest one of its column. As a free vibration decays, only its beginning is clipped.
+    """
+    last = 0
+    for values in signals.T:
+        equal = np.r_[False, np.diff(values) == 0.0]
+        for limit in (values.max(), values.min()):
+            runs = np.convolve(equal & (values == limit), np.ones(CLIPPED - 1), "valid") == CLIPPED - 1
+            last = max(last, int(np.flatnonzero(runs)[-1]) + CLIPPED - 1 if runs.any() else 0)
+    if not last:
+        return 0
+    warn_caller(f"ringing: the first {last} readings, up to the last one at a limit of the sensor, are left out")
+    return last
 
 
 def _check_modes(poles: Array, duration: float) -> None:
@@ -279,7 +311,9 @@ def _add_mode(poles: Array, left: Array, times: Array, signals: Array) -> Array:
 
 def _standard_deviations(poles: Array, times: Array, signals: Array) -> Array:
     """Return the standard deviations (k, 2) of fitted modes."""
-    steps = 1e-4 * np.column_stack([poles[:, 1] * poles[:, 0], poles[:, 1]]).ravel()
+    decay = np.maximum(np.abs(poles[:, 1]), 1.0 / (2.0 * np.pi * poles[:, 0] * times[-1]))  # also of an undamped tone
+    steps = 1e-4 * np.column_stack([decay * poles[:, 0], decay]).ravel()
+    poles = np.column_stack([poles[:, 0], np.maximum(poles[:, 1], 1e-4 * decay)])  # `_residuals` has no growth
     middle, columns = _residuals(poles, times, signals), []
     for i, step in enumerate(steps):
         change = step * (np.arange(steps.size) == i).reshape(-1, 2)

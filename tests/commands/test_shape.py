@@ -98,7 +98,7 @@ def test_what_is_wrong_is_said_in_one_line(given, line, capsys):
 
 def test_a_trajectory_is_shaped_for_a_record_and_for_an_arm(tmp_path, capsys):
     """The same arm, once by its ringing and once by its model, gives the same mode and a shaped file with a picture."""
-    frequency, ratio, _ = excited_modes(fm.build_model(fm.catalog.one_link(), 2), [0.5])[0]
+    frequency, ratio, _ = excited_modes(fm.build_model(fm.catalog.one_joint(), 2), [0.5])[0]
     times, damped = 0.01 * np.arange(1000), frequency * np.sqrt(1.0 - ratio**2)
     vibration = np.exp(-2.0 * np.pi * frequency * ratio * times) * np.cos(2.0 * np.pi * damped * times)
     noisy = vibration + 0.01 * np.random.default_rng(0).standard_normal(len(times))
@@ -107,7 +107,7 @@ def test_a_trajectory_is_shaped_for_a_record_and_for_an_arm(tmp_path, capsys):
     move, out, picture = (str(tmp_path / name) for name in ("move.csv", "out.csv", "picture.png"))
     write_csv(move, {"time (s)": 0.01 * np.arange(201), "joint (rad)": 0.5 * moved})
     modes = []
-    for subject in (str(tmp_path / "ringing.csv"), "one_link"):
+    for subject in (str(tmp_path / "ringing.csv"), "one_joint"):
         lines = said(capsys, subject, move, "--shaper", "zvd", "--out", out, "--picture", picture)
         modes.append([float(lines[0].split()[1]), *[float(line.split()[4]) for line in lines if "residual at" in line]])
         shaped = read_time_series(out).columns["joint"][1]
