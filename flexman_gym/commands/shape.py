@@ -132,7 +132,7 @@ def _read(options: argparse.Namespace) -> "tuple[Ringing | None, Motion | None]"
         record = tables[options.subject].select(chosen[options.subject] or None)
         print("\n".join(record.remarks), file=sys.stderr)
         with warnings.catch_warnings(record=True, action="always", category=UserWarning) as remarks:
-            ringing = Ringing.estimate(record.times, record.table)
+            ringing = Ringing.estimate(record.times, record.table, list(record.columns))
         for each in remarks:
             print(each.message, file=sys.stderr)
     if options.trajectory:
@@ -156,7 +156,8 @@ def _arm_ringing(options: argparse.Namespace, motion: "Motion") -> "Ringing":
     A second mode belongs to them if it moves the tip by more than the allowed residual of the first one.
     """
     from flexman_gym.control.input_shaping.shapers import excited_modes
-    from flexman_gym.identification.ringing import DAMPING_DEVIATION, FREQUENCY_DEVIATION, MAX_DAMPING, Ringing
+    from flexman_gym.identification.ring_down import MAX_DAMPING
+    from flexman_gym.identification.ringing import DAMPING_DEVIATION, FREQUENCY_DEVIATION, Ringing
     from flexman_gym.simulation.parameters import varied_model
 
     model, posture = _find_model(options.subject, 1)[0], motion.positions[-1]

@@ -1,4 +1,4 @@
-"""Ringing: frequencies and damping ratios, estimated from records of free vibration, and their exact derivatives."""
+"""Ringing: frequencies and damping ratios, measured at a posture, and their exact derivatives."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -17,8 +17,8 @@ from flexman_gym.common.checks import (
     warn_caller,
     whole_number,
 )
-from flexman_gym.common.clock import EqualTimes
 from flexman_gym.common.time_series import read_time_series
+from flexman_gym.identification.ring_down import RingDown
 from flexman_gym.model.dynamics import damping_matrix, mass_matrix, stiffness_matrix
 from flexman_gym.model.model import Model
 from flexman_gym.model.vibration import EquilibriumMatrices
@@ -96,23 +96,28 @@ class Ringing:
         return self.measured * np.append(parts, np.broadcast_to(self.damping_deviation, len(self.damping or ())))
 
     @classmethod
-    def estimate(cls, times: Vector, values: Array) -> "Ringing":
+    def estimate(cls, times: Vector, values: Array, names: Sequence[str] | None = None) -> "Ringing":
         """Estimate frequencies and damping ratios of one or two modes from a record of free vibration.
 
-        The record is fitted by least squares with damped sinusoids, an offset and a drift. A second mode is kept if the
-        Bayesian information criterion accepts it, with at least MIN_AMPLITUDE of the signal. The standard deviations
-        are the larger ones of those of white noise and those of blocks of the residuals, which may be correlated.
+        The record is fitted by least squares with damped sinusoids, an offset and a drift, as many as the Bayesian
+        information criterion accepts. A mode is a sinusoid whose decay is proven: its damping ratio exceeds PROOF
+        standard deviations, and its amplitude falls by MIN_DECAY or more. Tones of a motor or a fan, readings at a
+        limit of the sensor, repeated readings, and columns with another frequency are named in UserWarnings. The
+        standard deviations are the larger ones of those of white noise and those of blocks of the residuals.
 
         Args:
-            times: (T,) times, s; steps that vary by up to half of their median are interpolated, with a UserWarning.
+            times: (T,) increasing times, s.
             values: (T,) or (T, c) readings, in any unit.
+            names: (c,) names of the columns, for warnings; None for their numbers.
 
         Raises:
-            ValueError: for a record of less than MIN_CYCLES cycles, and for one without a damped vibration.
+            ValueError: for a record of less than MIN_CYCLES cycles, and for one without a vibration that decays.
         """
-        poles, deviations = _fit_ring_down(times, values)
-        order = np.argsort(poles[:, 0])
-        (frequencies, damping), (first, second) = poles[order].T, deviations[order].T
+        found = RingDown.of(times, values, names)
+        for note in found.notes:
+            warn_caller(f"ringing: {note}")
+        order = np.argsort(found.poles[:, 0])
+        (frequencies, damping), (first, second) = found.poles[order].T, found.deviations[order].T
         return cls(frequencies, damping, deviation=first / frequencies, damping_deviation=second / damping)
 
     @classmethod
@@ -127,7 +132,7 @@ class Ringing:
             FileNotFoundError: if the file does not exist.
         """
         record = read_time_series(path, columns).warn()
-        return cls.estimate(record.times, record.table)
+        return cls.estimate(record.times, record.table, list(record.columns))
 
     def predict(self, model: Model, parameters: Mapping[str, Array], h: float) -> tuple[Array, Array]:
         """Compute the frequencies and damping ratios of a model, and their Jacobian.
@@ -176,153 +181,3 @@ class Ringing:
             return EquilibriumMatrices.of(model, angles)
         matrices = mass_matrix(model, model.initial_state(angles)), damping_matrix(model), stiffness_matrix(model)
         return EquilibriumMatrices(*matrices, np.zeros((3, model.n_dof)), model.motor_columns)
-
-
-MIN_CYCLES = 2.0  # cycles of a mode in the record
-MIN_SAMPLES = 16  # readings in a fit
-CLIPPED = 3  # equal extreme readings in a row that show a limit of the sensor
-PROOF = 4.0  # standard deviations of a damping ratio above 0 that prove a decay
-MIN_AMPLITUDE = 0.01  # fraction of the root mean square of the record; smaller second modes are noise
-MIN_EXPLAINED = 0.5  # fraction of the variance that damped sinusoids explain
-MAX_DAMPING = 0.5  # damping ratio; a larger one is no vibration
-TRANSIENT_DAMPING = 0.2  # damping ratio; beside a mode with less, a larger one is a transient of a servo or a filter
-START_RATIOS = (0.001, 0.004, 0.015, 0.05, 0.15, 0.4)  # damping ratios from which the fit starts
-LARGEST_RATIO = 0.95  # damping ratio of a transient in the fit
-TERMS, MOST_MODES = 3, 2  # largest number of damped sinusoids in the fit, transients among them, and of modes
-BLOCKS = 25  # blocks of residuals
-PADDING = 4  # length of the padded spectrum / length of the record
-
-
-def _fit_ring_down(times: Vector, values: Array) -> tuple[Array, Array]:
-    """Return damped frequencies (Hz) and damping ratios (k, 2) of a record, and their standard deviations (k, 2).
-
-    The record begins at its largest deviation from the mean of its end; arguments as in `Ringing.estimate`.
-    """
-    from scipy.interpolate import make_interp_spline
-
-    moments, signals = np.asarray(times, dtype=float), np.atleast_2d(np.asarray(values, dtype=float).T).T
-    even = EqualTimes.of("ringing", moments)
-    if even.is_interpolated:
-        signals = make_interp_spline(moments, signals)(even.times)
-    if even.note:
-        warn_caller(f"ringing: {even.note}")
-    period = float(even.times[1] - even.times[0])
-    signals = signals[:, np.ptp(signals, axis=0) > 0.0]
-    if not signals.size:
-        raise ValueError("ringing: constant values are not allowed; give a record of a vibration")
-    signals = np.asarray(signals / signals.std(axis=0), dtype=np.float64)
-    signals = signals[_end_of_clipping(signals) :]
-    if len(signals) < MIN_SAMPLES:
-        raise value_error("ringing", f"{len(signals)} readings after the last one at a limit", f"{MIN_SAMPLES} or more")
-    away = np.abs(signals - signals[-len(signals) // 4 :].mean(axis=0)).sum(axis=1)
-    first = int(away.argmax())
-    signals = signals[first if first < len(signals) // 2 else 0 :]
-    moments = period * np.arange(len(signals), dtype=np.float64)
-    poles, left = np.zeros((0, 2)), _residuals(np.zeros((0, 2)), moments, signals)
-    if signals.shape[1] > 1:  # columns without the vibration are left out
-        errors = _residuals(_add_mode(poles, left, moments, signals), moments, signals)
-        explained = 1.0 - (errors**2).sum(axis=0) / np.maximum((left**2).sum(axis=0), 1e-30)
-        showing = explained >= MIN_EXPLAINED * explained.max()
-        signals, left = signals[:, showing], left[:, showing]
-    total = float((left**2).sum())
-    for _ in range(TERMS):
-        found = _add_mode(poles, left, moments, signals)
-        errors = _residuals(found, moments, signals)
-        before, after = float((left**2).sum()), float((errors**2).sum())
-        gain = errors.size * np.log(before / max(after, 1e-30)) - (2 + 2 * signals.shape[1]) * np.log(errors.size)
-        valid = (found > 0.0) & (found < (0.5 / period, LARGEST_RATIO))
-        if len(poles) and not (valid.all() and gain > 0.0 and before - after > MIN_AMPLITUDE**2 * total):
-            break
-        poles, left = found, errors
-    if (explained := 1.0 - float((left**2).sum()) / total) < MIN_EXPLAINED:
-        raise ValueError(
-            f"ringing: damped vibrations explain {100 * max(explained, 0.0):.0f} % of the record, less than "
-            f"{100 * MIN_EXPLAINED:.0f} %; give a record that starts when the arm stops"
-        )
-    ringing = np.flatnonzero(poles[:, 1] < max(TRANSIENT_DAMPING, poles[:, 1].min() * 1.001))[:MOST_MODES]
-    deviations = _standard_deviations(poles, moments, signals)
-    proven = ringing[poles[ringing, 1] > PROOF * deviations[ringing, 1]]
-    for i in ringing[~np.isin(ringing, proven)].tolist():
-        found = f"{poles[i, 0]:.4g} Hz with a damping ratio of {poles[i, 1]:.2g} +- {deviations[i, 1]:.2g}"
-        if not len(proven):
-            allowed = "a record that proves a decay, without the tone of a motor or a fan"
-            raise value_error("ringing", found, allowed)
-        warn_caller(f"ringing: {found} does not decay and is left out")
-    _check_modes(poles[proven], moments[-1])
-    return poles[proven], deviations[proven]
-
-
-def _end_of_clipping(signals: Array) -> int:
-    """Return the index after the last reading at a limit of the sensor, with a UserWarning for such readings.
-
-    A reading is at a limit if at least CLIPPED of its neighbours in a row have the same value, which is the largest or
-    the smallest one of its column. As a free vibration decays, only its beginning is clipped.
-    """
-    last = 0
-    for values in signals.T:
-        equal = np.r_[False, np.diff(values) == 0.0]
-        for limit in (values.max(), values.min()):
-            runs = np.convolve(equal & (values == limit), np.ones(CLIPPED - 1), "valid") == CLIPPED - 1
-            last = max(last, int(np.flatnonzero(runs)[-1]) + CLIPPED - 1 if runs.any() else 0)
-    if not last:
-        return 0
-    warn_caller(f"ringing: the first {last} readings, up to the last one at a limit of the sensor, are left out")
-    return last
-
-
-def _check_modes(poles: Array, duration: float) -> None:
-    """Raise a ValueError for modes that are no vibration, or of which the record has too few cycles."""
-    for frequency, ratio in poles.tolist():
-        if not 0.0 < ratio < MAX_DAMPING:
-            raise value_error("ringing: the damping ratio", round(ratio, 4), f"a vibration with 0 to {MAX_DAMPING:g}")
-        if frequency * duration < MIN_CYCLES:
-            cycles = f"{MIN_CYCLES:g} or more cycles of {frequency:.3g} Hz"
-            raise value_error("ringing", f"a record of {duration:.3g} s", cycles)
-
-
-def _residuals(poles: Array, times: Array, signals: Array) -> Array:
-    """Return signals (T, c) less their best fit by modes (k, 2) with free amplitudes and phases, offset and drift."""
-    rate = 2.0 * np.pi * np.abs(poles[:, 0])
-    slopes = poles[:, 1] / np.sqrt(np.maximum(1.0 - poles[:, 1] ** 2, 0.01))
-    decay = np.exp(np.maximum(-np.outer(times, np.clip(slopes, 0.0, 3.2) * rate), -700.0))
-    phases = np.outer(times, rate)
-    line = np.column_stack([np.ones(len(times)), times / times[-1]])
-    basis = np.linalg.qr(np.hstack([decay * np.cos(phases), decay * np.sin(phases), line]))[0]
-    return signals - basis @ (basis.T @ signals)
-
-
-def _add_mode(poles: Array, left: Array, times: Array, signals: Array) -> Array:
-    """Return modes (k + 1, 2) fitted to the signals, with a mode added at the peak of the spectrum of the residuals."""
-    from scipy.optimize import least_squares
-
-    spectrum = (np.abs(np.fft.rfft(left, PADDING * len(times), axis=0)) ** 2).sum(axis=1)
-    spectrum[: int(1.5 * PADDING)] = 0.0
-    peak = float(spectrum.argmax()) / (PADDING * len(times) * (times[1] - times[0]))
-    starts = [np.vstack([poles, (peak, ratio)]) for ratio in START_RATIOS]
-    start = min(starts, key=lambda each: float((_residuals(each, times, signals) ** 2).sum()))
-    scales = np.column_stack([np.full(len(start), 0.1 / times[-1]), np.full(len(start), 0.01)]).ravel()
-
-    def errors(steps: Array) -> Array:
-        return _residuals(start + (scales * steps).reshape(-1, 2), times, signals).ravel()
-
-    found = least_squares(errors, np.zeros(start.size), method="lm")
-    return np.asarray(start + (scales * found.x).reshape(-1, 2))
-
-
-def _standard_deviations(poles: Array, times: Array, signals: Array) -> Array:
-    """Return the standard deviations (k, 2) of fitted modes."""
-    decay = np.maximum(np.abs(poles[:, 1]), 1.0 / (2.0 * np.pi * poles[:, 0] * times[-1]))  # also of an undamped tone
-    steps = 1e-4 * np.column_stack([decay * poles[:, 0], decay]).ravel()
-    poles = np.column_stack([poles[:, 0], np.maximum(poles[:, 1], 1e-4 * decay)])  # `_residuals` has no growth
-    middle, columns = _residuals(poles, times, signals), []
-    for i, step in enumerate(steps):
-        change = step * (np.arange(steps.size) == i).reshape(-1, 2)
-        ahead, behind = (_residuals(poles + sign * change, times, signals) for sign in (1.0, -1.0))
-        columns.append((ahead - behind) / 2.0)
-    jacobian = np.stack(columns)  # (2 k, T, c), per step
-    inverse = np.linalg.inv(np.einsum("atc,btc->ab", jacobian, jacobian))
-    scores = np.einsum("atc,tc->at", jacobian, middle)
-    blocks = np.stack([each.sum(axis=1) for each in np.array_split(scores, BLOCKS, axis=1)])
-    white = float((middle**2).sum()) / (middle.size - 5 * len(steps)) * np.diag(inverse)
-    robust = np.diag(inverse @ blocks.T @ blocks @ inverse)
-    return np.asarray((steps * np.sqrt(np.maximum(white, robust))).reshape(-1, 2))

@@ -173,6 +173,15 @@ def test_what_cannot_be_shaped_is_refused_in_one_line(ringing, given, line):
     assert "\n" not in str(error.value)
 
 
+def test_motion_with_velocities_that_is_too_coarse_for_its_mode_names_the_rate():
+    motion = trapezoid(1.0, 0.2)
+    rates = np.gradient(motion.values, PERIOD, axis=0)
+    motion = motion._replace(values=np.hstack([motion.values, rates]), orders=(0, 1))
+    line = "motion: '250 samples per s for a mode at 130 Hz' is not allowed; give a motion with more than 260 samples"
+    with pytest.raises(ValueError, match=re.escape(line)):
+        ShapedMotion.find(motion, fm.Ringing((130.0,), (0.01,)))
+
+
 @pytest.mark.parametrize(
     ("values", "line"),
     [
@@ -191,6 +200,7 @@ def test_columns_with_noise_alone_do_not_hide_the_vibration():
     rng, times = np.random.default_rng(0), 0.004 * np.arange(2500)
     vibration = np.exp(-0.3 * times) * np.cos(30.0 * times)
     columns = [rng.standard_normal(len(times)), vibration + 0.01 * rng.standard_normal(len(times)), 0.1 * times]
-    found = fm.Ringing.estimate(times, np.column_stack(columns))
+    with pytest.warns(UserWarning, match="in the other columns; it is left out"):
+        found = fm.Ringing.estimate(times, np.column_stack(columns))
     assert found.frequencies == pytest.approx([30.0 / (2.0 * np.pi)], rel=1e-4)
     assert found.damping == pytest.approx([0.3 / np.hypot(30.0, 0.3)], rel=0.02)

@@ -12,7 +12,8 @@ from flexman_gym.common.arrays import Array, pad_rows
 from flexman_gym.common.checks import mapping, one_of, physical, positive, value_error
 from flexman_gym.control.input_shaping.motion import Motion
 from flexman_gym.control.input_shaping.shapers import SHAPERS, Shaper, convolve_samples, design_shaper, shaper_residual
-from flexman_gym.identification.ringing import DAMPING_DEVIATION, FREQUENCY_DEVIATION, MAX_DAMPING, Ringing
+from flexman_gym.identification.ring_down import MAX_DAMPING
+from flexman_gym.identification.ringing import DAMPING_DEVIATION, FREQUENCY_DEVIATION, Ringing
 
 AUTO, SCALING = "auto", "scaling"
 LIMITS = ("velocity", "acceleration", "jerk")
@@ -96,6 +97,8 @@ class ShapedMotion(NamedTuple):
                     best = cls(name, shaped, base, _ranges(left))
         if shaper in (AUTO, SCALING) and sampled:
             best = _slower(motion, ringing, residual, bounds, best)
+        if best is None and not sampled:
+            raise _rate_error(motion.period, max(ringing.frequencies))
         if best is None:
             found = (
                 f"at least {np.ceil(1e3 * least[0]) / 1e3:g}, which {least[1]} leaves" if least[1] else "another shaper"
