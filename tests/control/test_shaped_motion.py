@@ -174,12 +174,15 @@ def test_what_cannot_be_shaped_is_refused_in_one_line(ringing, given, line):
 
 
 def test_motion_with_velocities_that_is_too_coarse_for_its_mode_names_the_rate():
-    motion = trapezoid(1.0, 0.2)
-    rates = np.gradient(motion.values, PERIOD, axis=0)
-    motion = motion._replace(values=np.hstack([motion.values, rates]), orders=(0, 1))
-    line = "motion: '250 samples per s for a mode at 130 Hz' is not allowed; give a motion with more than 260 samples"
+    times = 0.07 * np.arange(29)
+    part = times / times[-1]
+    values = np.column_stack([part**2 * (3.0 - 2.0 * part), 6.0 * part * (1.0 - part) / times[-1]])
+    motion = trapezoid(1.0, 0.2)._replace(period=0.07, values=values, orders=(0, 1))
+    line = (
+        "motion: '14.29 samples per s for a mode at 42.4 Hz' is not allowed; give a motion with more than 84.8 samples"
+    )
     with pytest.raises(ValueError, match=re.escape(line)):
-        ShapedMotion.find(motion, fm.Ringing((130.0,), (0.01,)))
+        ShapedMotion.find(motion, fm.Ringing((42.4,), (0.05,)))
 
 
 @pytest.mark.parametrize(
