@@ -77,7 +77,7 @@ def _run(options: argparse.Namespace) -> int:
     print(_outcome(log))
     print(f"  {loop['periods']} periods of {1e3 * log.period:g} ms, late by {median:.3f} ms (at most {longest:.3g} ms)")
     print(f"  {loop['missed']:.2%} of the torques missed, {loop['silent']} periods without new readings")
-    print(f"  {_rest(loop)}")
+    print(f"  {rest_text(loop)}")
     print(f"{out}: to go on: flexman replay {out}, flexman why {out}, or fm.fit")
     return 1 if log.about["failure"] else 0
 
@@ -98,7 +98,7 @@ def _save(log: "Episode", path: Path) -> Path:
         return other
 
 
-def _rest(loop: dict[str, Any]) -> str:
+def rest_text(loop: dict[str, Any]) -> str:
     """Return a text with the times at which motors and tip came to rest after the stop, or with their last speeds."""
     if loop["motor_rate"] is None:
         return "rest after the stop is not known: the machine sends no readings of the rates that can be trusted"

@@ -68,12 +68,9 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
         "--column",
         action="append",
         metavar="NAME",
-        help="column of a CSV file, once for each (default: all but commands, set points and temperatures of the "
-        "record, and all positions, velocities and accelerations of the trajectory)",
+        help="column of a CSV file, once for each (default: all but commands)",
     )
-    parser.add_argument(
-        "--rate", type=float, metavar="HZ", help="samples per second of the shaped trajectory (default: as given)"
-    )
+    parser.add_argument("--rate", type=float, metavar="HZ", help="sampling rate of the shaped trajectory")
     parser.add_argument("--payload", type=float, nargs=2, metavar=("LOW", "HIGH"), help="range of the payload, kg")
     parser.add_argument(
         "--postures",

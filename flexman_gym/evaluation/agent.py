@@ -105,7 +105,7 @@ class AgentSpec:
         interface.pop("gains", None)
         return replace(agent, interface={**interface, "base": base_in_use})
 
-    def timed(self, environment: Configuration) -> "tuple[Self, _Clock | None]":
+    def timed(self, environment: Configuration) -> "tuple[Self, ActionClock | None]":
         """Return the agent designed for an environment, and the clock that measures its CPU time.
 
         The second result is None for an agent that computes nothing, such as "zero".
@@ -114,8 +114,8 @@ class AgentSpec:
             return self, None
         designed = self.designed(environment)
         assert designed.interface is not None
-        clock = _Clock()
-        mode = _TimedMode(designed.interface["actions"], clock)
+        clock = ActionClock()
+        mode = TimedMode(designed.interface["actions"], clock)
         law: Law | None = clock.timed(designed.law) if designed.law else None
         return replace(designed, law=law, interface={**designed.interface, "actions": mode}), clock
 
@@ -229,7 +229,7 @@ def split_interface(environment: Configuration) -> tuple[Configuration, dict[str
     return environment.without(INTERFACE), interface
 
 
-class _Clock:
+class ActionClock:
     """CPU time of an agent: of its actions with its policy function, and of the starts of its episodes, s."""
 
     def __init__(self) -> None:
@@ -250,7 +250,7 @@ class _Clock:
         return call
 
 
-class _TimedMode(ModeWrapper):
+class TimedMode(ModeWrapper):
     """Action mode that measures the CPU time of its calls.
 
     Args:
@@ -258,7 +258,7 @@ class _TimedMode(ModeWrapper):
         clock: clock to which the times are added.
     """
 
-    def __init__(self, mode: ActionMode, clock: _Clock) -> None:
+    def __init__(self, mode: ActionMode, clock: ActionClock) -> None:
         super().__init__(mode)
         self._clock = clock
 

@@ -13,7 +13,7 @@ from flexman_gym.control.mode_wrapper import ModeWrapper
 from flexman_gym.control.safety import SafeMode
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.env import FlexManEnv
-from flexman_gym.evaluation.agent import _Clock, _TimedMode, find_agent
+from flexman_gym.evaluation.agent import ActionClock, TimedMode, find_agent
 from flexman_gym.evaluation.rollout import RolloutLoop, rollout
 
 REQUIRED = tuple(name for name in vars(ActionMode) if not name.startswith("_"))
@@ -52,7 +52,7 @@ class Filter:
 WRAPPERS = {
     "base class": (ModeWrapper, ()),
     "safety": (lambda mode: SafeMode(mode, Filter()), MOST),
-    "time": (lambda mode: _TimedMode(mode, _Clock()), ()),
+    "time": (lambda mode: TimedMode(mode, ActionClock()), ()),
 }
 
 

@@ -375,8 +375,8 @@ def test_a_clock_keeps_starts_and_actions_apart(monkeypatch):
 
     slow = SimpleNamespace(sensors=(), joints=1, names=(), reset=lambda *_: passing(1.0), act=lambda *_: passing(1e-3))
     monkeypatch.setattr(agent_module, "process_time", lambda: clock[0])
-    times = agent_module._Clock()
-    timed = agent_module._TimedMode(slow, times)
+    times = agent_module.ActionClock()
+    timed = agent_module.TimedMode(slow, times)
     for _ in range(2):
         timed.reset(None, None, 1)
         passing(100.0)

@@ -104,6 +104,17 @@ def test_the_age_of_readings_is_the_round_trip_less_the_time_in_the_machine():
     assert machine.clock.now() - receipt.sampled == pytest.approx(0.01, abs=1e-6)  # 30 ms since, 20 of them there
 
 
+def test_readings_have_the_age_of_a_later_hello_if_the_machine_was_busy_at_the_first():
+    clock, peer = FakeClock(), Peer(json.dumps(ANSWER).encode())
+    answer, peer.receive = peer.receive, lambda: None if clock.now() < 0.1 else answer()
+    machine = UdpMachine("udp:7", connect=lambda _: peer, clock=clock)
+    hello = [packet for packet in peer.sent if packet.kind == HELLO][-1]
+    assert hello.sequence == 2 and clock.now() - hello.time < machine.period
+    peer.queue.append(Packet(READINGS, hello.session, 1, 1.0, np.zeros(2).tobytes(), hello.sequence).encode())
+    machine.read()
+    assert machine.receipt.sampled == pytest.approx(hello.time, abs=1e-6)
+
+
 def test_readings_that_echo_no_packet_of_the_session_have_no_age():
     peer, machine = connected()
     values = np.zeros(2).tobytes()

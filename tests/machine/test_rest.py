@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import flexman_gym as fm
-from flexman_gym.commands.drive import _rest
+from flexman_gym.commands.drive import rest_text
 from flexman_gym.evaluation.machine.rest import MAX_SLEWS, REST_SLEWS, RestSpeeds, RestWait, noise_level, slew_seconds
 from flexman_gym.metrics import BAND
 
@@ -55,13 +55,13 @@ def test_motors_and_tip_have_their_own_times_of_rest():
     loop = waited(Decay(), lambda time: (np.exp(-10.0 * time), np.exp(-2.0 * time)))
     assert loop["rest_seconds"] == pytest.approx(np.log(100.0) / 10.0, abs=2e-3)
     assert loop["tip_rest_seconds"] == pytest.approx(np.log(100.0) / 2.0, abs=2e-3)
-    assert _rest(loop) == "motors at rest 0.46 s and tip at rest 2.30 s after the stop"
+    assert rest_text(loop) == "motors at rest 0.46 s and tip at rest 2.30 s after the stop"
 
 
 def test_an_oscillation_is_not_at_rest_at_its_turning_points():
     loop = waited(Decay(), lambda time: (abs(np.exp(-time) * np.cos(50.0 * time)), np.nan), (0.0, np.nan))
     assert loop["rest_seconds"] == pytest.approx(np.log(100.0), abs=0.07)
-    assert _rest(loop).endswith("after the stop; the speed of the tip is not measured")
+    assert rest_text(loop).endswith("after the stop; the speed of the tip is not measured")
 
 
 def test_a_tip_that_rings_is_waited_for_at_most_some_slews_and_its_speed_is_told():
@@ -69,7 +69,7 @@ def test_a_tip_that_rings_is_waited_for_at_most_some_slews_and_its_speed_is_told
     loop = waited(machine, lambda time: (0.0, 0.3))
     assert loop["tip_rest_seconds"] is None and loop["tip_speed"] == 0.3
     assert machine.clock.time == pytest.approx(MAX_SLEWS + REST_SLEWS, abs=0.01)
-    assert _rest(loop) == "motors at rest 0.00 s and tip still at 0.3 m/s after the stop"
+    assert rest_text(loop) == "motors at rest 0.00 s and tip still at 0.3 m/s after the stop"
 
 
 def test_a_machine_that_falls_silent_is_not_waited_for():
@@ -77,9 +77,9 @@ def test_a_machine_that_falls_silent_is_not_waited_for():
     machine.until = 0.1
     loop = waited(machine, lambda time: (0.2, np.nan), (0.0, np.nan))
     assert machine.clock.time == pytest.approx(0.1 + 10 * 5 * machine.period, abs=0.01)
-    assert loop["rest_seconds"] is None and _rest(loop).startswith("motors still at 0.2 rad/s after the stop")
+    assert loop["rest_seconds"] is None and rest_text(loop).startswith("motors still at 0.2 rad/s after the stop")
     machine.until = 0.0
-    assert "is not known" in _rest(waited(machine, lambda time: (0.2, np.nan)))
+    assert "is not known" in rest_text(waited(machine, lambda time: (0.2, np.nan)))
 
 
 def test_the_noise_of_braked_readings_is_part_of_the_speed_at_rest():

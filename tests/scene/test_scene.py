@@ -318,7 +318,7 @@ LINK = "arm:\n  links:\n    - length: "
         ("empty.yaml", "", "this is no mapping; give names with their values"),
         ("broken.yaml", "arm: [1, 2\nmodel: {", "line 2"),
         ("control.yaml", "arm: \x01", "give valid YAML"),
-        ("two.yaml", "a: 1\n---\nb: 2\n", "give valid YAML"),
+        ("two.yaml", "a: 1\n---\nb: 2\n", "2 documents separated by --- are not allowed; give one"),
         ("twice.yaml", LINK + "1.0\n      length: 2.0\n", "arm.links[0].length: 2.0 is not allowed"),
         ("key.yaml", "[1, 2]: 3\n", "the key [1, 2] is not allowed"),
         ("number.yaml", "1: 3\n", "the key 1 is not allowed"),

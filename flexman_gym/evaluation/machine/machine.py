@@ -31,6 +31,7 @@ UNITS = MEASUREMENT_UNITS | {"torques": "N m", "state": "rad, m, rad/s, m/s"}  #
 COMMAND_UNITS = ("N m", "A")
 LOCALHOST = "127.0.0.1"
 HELLO_SECONDS = 10.0  # s; time in which a machine must answer
+GREETINGS = 3  # round trips of a hello; one that waited for a busy machine would age all readings by as much
 REPEAT_SECONDS = 0.2  # s; time between two hellos
 READ_INTERVAL = 3e-4  # s; time between two attempts to read while nothing else is to be done, more than `clock.SPIN`
 STOP_COPIES = 20  # copies of the order to stop; one of them arrives even if four of five packets are lost
@@ -193,8 +194,12 @@ class UdpMachine:
         self._sequence, self._commands = 0, 0
         self._sent: deque[tuple[int, float, int]] = deque(maxlen=MAX_SENT)  # sequence number, time (s), commands so far
         try:
-            answer = self._greet(address, wanted)
-            self.period, self.unit, self.quantities = _checked_answer(address, answer)
+            for _ in range(GREETINGS):
+                answer = self._greet(address, wanted)
+                self.period, self.unit, self.quantities = _checked_answer(address, answer)
+                sent = next((time for number, time, _ in self._sent if number == answer.echo), -np.inf)
+                if self.clock.now() - sent <= self.period:
+                    break
         except BaseException:
             self._link.close()
             raise
