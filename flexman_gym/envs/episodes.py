@@ -142,7 +142,7 @@ class Episodes:
 
     def make_spaces(self) -> tuple[spaces.Space[Any], spaces.Space[Any]]:
         """Return the observation space and the action space of one arm."""
-        bound, size = self.agent.bound(self.sensors.bound), len(self.agent.mode.names)
+        bound, size = self.agent.bound(self.sensors.bound).astype(np.float32), len(self.agent.mode.names)
         return spaces.Box(-bound, bound, dtype=np.float32), spaces.Box(-1.0, 1.0, (size,), dtype=np.float32)
 
     @property

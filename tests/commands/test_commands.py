@@ -210,7 +210,8 @@ def test_the_league_is_played_and_grows(tmp_path, capsys):
 
 def test_a_league_takes_the_options_of_version_0_2_and_is_redrawn_without_a_run(tmp_path, capsys, monkeypatch):
     old = ["--entrants", "zero", "--environments", "FlexOne-v0"]
-    with pytest.warns(DeprecationWarning, match="flexman league: --entrants is --agents now"):
+    lines = ("--entrants is --agents now", "--environments is --scenarios now")
+    with pytest.warns(DeprecationWarning, match=lines[0]), pytest.warns(DeprecationWarning, match=lines[1]):
         assert main(["league", "--folder", str(tmp_path), "--episodes", "1", *old]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[1:4] == ["| agent | FlexOne-v0 |", "| --- | --- |", "| `zero` | 0 % |"]

@@ -72,10 +72,10 @@ def test_it_may_be_for_another_environment_with_what_acts_as_it_was(run, tmp_pat
 def test_a_name_is_no_path(run, tmp_path, monkeypatch, capsys):
     (tmp_path / "ppo-own").mkdir()
     monkeypatch.setattr(policy_files, "FOLDER", tmp_path)
-    assert main(["export", "policy", str(run), "ppo-own", "--words", "W."]) == 2
+    assert main(["export", "policy", str(run), "ppo-own", "--description", "W."]) == 2
     assert f"folder: '{tmp_path / 'ppo-own'}' is not allowed" in capsys.readouterr().err
     for wrong in ("..", "", "a b", "a-", "ppo-\N{SUPERSCRIPT TWO}", "a" * 300, "a\n"):
-        assert main(["export", "policy", str(run), wrong, "--words", "W."]) == 2
+        assert main(["export", "policy", str(run), wrong, "--description", "W."]) == 2
         assert "name: " in capsys.readouterr().err
 
 

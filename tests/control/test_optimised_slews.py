@@ -283,9 +283,9 @@ def test_a_file_that_is_no_table_is_refused_in_one_line(tmp_path, table):
 
 def test_the_command_makes_a_table_and_goes_on_with_it(tmp_path, capsys):
     path = tmp_path / "one.npz"
-    assert main(["optimise", "FlexOne-v0", "--seeds", "5003", "1", "--out", str(path)]) == 0
+    assert main(["optimise", "slews", "FlexOne-v0", "--seeds", "5003", "1", "--out", str(path)]) == 0
     first = SlewTable.load(path)
-    assert main(["optimise", "FlexOne-v0", "--seeds", "5003", "2", "--out", str(path)]) == 0
+    assert main(["optimise", "slews", "FlexOne-v0", "--seeds", "5003", "2", "--out", str(path)]) == 0
     lines = [line.split() for line in capsys.readouterr().out.splitlines()]
     assert [line[0] for line in lines] == ["seed", "5003", "1", "seed", "5004", "2"]
     both = SlewTable.load(path)
@@ -295,7 +295,7 @@ def test_the_command_makes_a_table_and_goes_on_with_it(tmp_path, capsys):
     replayed = rollout(base, "FlexOne-v0", [5003, 5004]).records
     for seed, record in zip((5003, 5004), replayed, strict=True):
         assert settling_time(record.errors, record.band, record.period) == both.settling_time(seed)
-    other = main(["optimise", "FlexPlanar-v0", "--seeds", "1", "1", "--out", str(path)])
+    other = main(["optimise", "slews", "FlexPlanar-v0", "--seeds", "1", "1", "--out", str(path)])
     assert other == 2 and capsys.readouterr().err.startswith("table: ")
 
 

@@ -377,6 +377,7 @@ def test_a_state_or_a_copy_continues_to_the_bit(name, settings):
                 assert np.array_equal(first[-1][key], other[-1][key])
 
 
+@pytest.mark.filterwarnings("ignore:safety. the filter keeps:UserWarning")
 def test_the_filter_has_its_own_estimator_of_uncertain_arms():
     """One with the settings of the estimator of the base controller, which is not changed by it."""
     unknown = {"safety": True, "randomisation": UNKNOWN}
@@ -423,6 +424,7 @@ def test_a_warning_names_the_limits_if_only_those_of_the_model_are_kept():
         gym.make("FlexOne-v0", safety=True, limits={"on_violation": "cost"})
 
 
+@pytest.mark.filterwarnings("ignore:safety. the filter keeps:UserWarning")
 def test_environments_without_a_brake_or_a_prediction_are_refused():
     other = {"arm": fm.catalog.paper_rrr(), "torque_limit": 400.0, "modes": 1}
     assert refusal(lambda: FlexManEnv(name="FlexRRR-v0", safety=True, **other)).startswith("gains: ")
@@ -430,6 +432,7 @@ def test_environments_without_a_brake_or_a_prediction_are_refused():
     assert refusal(lambda: FlexManEnv(**lag)).startswith("safety: True is not allowed; give False with drive_bandwidth")
 
 
+@pytest.mark.filterwarnings("ignore:safety. the filter keeps:UserWarning")
 def test_without_the_solver_one_line_names_the_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "daqp", None)
     with pytest.raises(ImportError, match=r"^the safety filter needs daqp: pip install 'flexman_gym\[mpc\]'$"):

@@ -251,6 +251,7 @@ def test_address_doi_and_badges_are_hidden_while_they_are_empty():
 
 
 @pytest.mark.parametrize("page", DRAWN)
+@pytest.mark.filterwarnings("ignore:Mean of empty slice", "ignore:invalid value")  # rows are taken away
 def test_drawn_numbers_are_traced_to_a_file_a_column_and_a_row(page):
     every = universe(page)
     drawn = [every[i] for i in np.random.default_rng(48).choice(len(every), DRAWN[page], replace=False)]

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Mapping
 from functools import cache
+from inspect import getattr_static
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -150,6 +151,6 @@ def _call_reward(reward: Callable[[View], Number], view: View) -> Number:
         valid, message, cause = False, f"raised {type(error).__name__}: {error}", error
     if valid:
         return value
-    names = [name for name in dir(view) if not (name.startswith("_") or callable(getattr(type(view), name, None)))]
+    names = [name for name in dir(view) if not (name.startswith("_") or callable(getattr_static(view, name, None)))]
     function = getattr(reward, "__name__", type(reward).__name__)
     raise ValueError(f"reward: {function} {' '.join(message.split())}; a View has {', '.join(names)}") from cause

@@ -174,12 +174,14 @@ def _observations(family: Family) -> list[str]:
         lines += [f"{name}, Box ({_size(rows)},){', in addition' if added else ''}:", ""]
         lines += [*markdown_table(heads, more if added else rows), ""]
     rows = observation_rows(first, "lab")
-    return [*lines, f'With `sensors="lab"`, the sensors of a laboratory, {first} has Box ({_size(rows)},):', "",
-            *markdown_table(heads, rows), ""]  # fmt: skip
+    same = next(i for i, (row, other) in enumerate(zip(rows, known, strict=False)) if row != other)
+    start = f" from entry {_size(rows[:same])} on, after those above" if same else ""
+    lines += [f'With `sensors="lab"`, the sensors of a laboratory, {first} has Box ({_size(rows)},){start}:', ""]
+    return [*lines, *markdown_table(heads, rows[same:]), ""]
 
 
 def _size(rows: Sequence[tuple[str, ...]]) -> int:
-    return 1 + int(rows[-1][1].split("-")[1])
+    return 1 + int(rows[-1][1].split("-")[-1])
 
 
 def _arms(family: Family) -> list[str]:
