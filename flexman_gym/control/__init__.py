@@ -1,19 +1,23 @@
 """Controllers with one protocol, observers, reference trajectories and action modes."""
 
-from flexman_gym.common.renamed import deprecated_names
-from flexman_gym.control.agent import Agent
-from flexman_gym.control.base_controllers import BASES
-from flexman_gym.control.controller import Controller, EpisodeInfo, Plant
-from flexman_gym.control.input_shaping.shaped_controller import InputShapedController
-from flexman_gym.control.lqr import LQR, TrackingLQR
-from flexman_gym.control.observers.estimator import Estimator
-from flexman_gym.control.observers.kalman_filter import KalmanFilter
-from flexman_gym.control.observers.observer import Estimate, Observer
-from flexman_gym.control.observers.oracle import Oracle
-from flexman_gym.control.pd import PD
-from flexman_gym.control.range_check import RangeCheckedController
-from flexman_gym.control.references.optimised_slews import OptimisedController
-from flexman_gym.control.tracking import OutputFeedback, Tracking
+from typing import TYPE_CHECKING
+
+from flexman_gym.common.lazy import lazy_names
+
+if TYPE_CHECKING:
+    from flexman_gym.control.agent import Agent
+    from flexman_gym.control.base_controllers import BASES
+    from flexman_gym.control.controller import Controller, EpisodeInfo, Plant
+    from flexman_gym.control.input_shaping.shaped_controller import InputShapedController
+    from flexman_gym.control.lqr import LQR, TrackingLQR
+    from flexman_gym.control.observers.estimator import Estimator
+    from flexman_gym.control.observers.kalman_filter import KalmanFilter
+    from flexman_gym.control.observers.observer import Estimate, Observer
+    from flexman_gym.control.observers.oracle import Oracle
+    from flexman_gym.control.pd import PD
+    from flexman_gym.control.range_check import RangeCheckedController
+    from flexman_gym.control.references.optimised_slews import OptimisedController
+    from flexman_gym.control.tracking import OutputFeedback, Tracking
 
 __all__ = [
     "BASES",
@@ -36,4 +40,4 @@ __all__ = [
     "TrackingLQR",
 ]
 
-__getattr__ = deprecated_names(__name__)
+__getattr__, __dir__ = lazy_names(__name__)

@@ -1,10 +1,14 @@
 """Pictures and plots: frames of an arm, videos, and Matplotlib plots; Matplotlib is imported by the first plot."""
 
-from flexman_gym.draw import notebook  # noqa: F401 (adds the display methods of IPython)
-from flexman_gym.draw.frames import FramePainter, arm_frame, grid
-from flexman_gym.draw.overlay import Caption
-from flexman_gym.draw.trajectories import paper_figures, trajectory_figure
-from flexman_gym.draw.video import write_picture, write_video
+from typing import TYPE_CHECKING
+
+from flexman_gym.common.lazy import lazy_names
+
+if TYPE_CHECKING:
+    from flexman_gym.draw.frames import FramePainter, arm_frame, grid
+    from flexman_gym.draw.overlay import Caption
+    from flexman_gym.draw.trajectories import paper_figures, trajectory_figure
+    from flexman_gym.draw.video import write_picture, write_video
 
 __all__ = [
     "Caption",
@@ -16,3 +20,5 @@ __all__ = [
     "write_picture",
     "write_video",
 ]
+
+__getattr__, __dir__ = lazy_names(__name__)

@@ -1,11 +1,6 @@
-"""Pictures of arms, trajectories and episodes in a notebook: `_repr_png_`, the display method of IPython.
+"""Pictures of arms, trajectories and episodes for their method `_repr_png_`, which IPython calls in a notebook."""
 
-The methods are added to the classes here, since an arm and a simulation must not import the drawing code.
-"""
-
-from collections.abc import Callable
 from io import BytesIO
-from typing import Any
 
 import numpy as np
 
@@ -25,13 +20,13 @@ MOMENTS = (0.0, 0.15, 1.0)  # times of the frames as fractions of an episode; a 
 POINTS = 4  # points of the curve of a link, for the choice of the camera
 
 
-def _arm_picture(arm: Arm) -> bytes:
+def arm_picture(arm: Arm) -> bytes:
     """Return a PNG of an undeformed arm at zero joint angles."""
     model = build_model(arm, elements=1)
     return encode_picture(arm_frame(model, np.zeros(2 * model.n_dof)))
 
 
-def _trajectory_picture(trajectory: Trajectory) -> bytes | None:
+def trajectory_picture(trajectory: Trajectory) -> bytes | None:
     """Return a PNG with the plots of a trajectory; None for one without outputs, and without Matplotlib."""
     if not len(trajectory.time):
         return None
@@ -45,7 +40,7 @@ def _trajectory_picture(trajectory: Trajectory) -> bytes | None:
     return file.getvalue()
 
 
-def _episode_picture(episode: Episode) -> bytes:
+def episode_picture(episode: Episode) -> bytes:
     """Return a PNG with three frames of an episode: at its start, during its motion and at its end."""
     rows = (np.array(MOMENTS) * (len(episode.time) - 1)).round().astype(int)
     targets = [each if np.isfinite(each).all() else None for each in episode.targets[rows]]
@@ -58,12 +53,3 @@ def _episode_picture(episode: Episode) -> bytes:
         painter.paint(episode.states[row], target, words, episode.tips[: row + 1], shot)
         for row, target, words in zip(rows, targets, captions, strict=True)
     ], len(rows)))  # fmt: skip
-
-
-PICTURES: dict[type, Callable[[Any], bytes | None]] = {
-    Arm: _arm_picture,
-    Trajectory: _trajectory_picture,
-    Episode: _episode_picture,
-}
-for kind, picture in PICTURES.items():
-    setattr(kind, "_repr_png_", picture)  # noqa: B010 (the attribute is not declared in the class)

@@ -1,13 +1,17 @@
 """Evaluation of an agent: rollouts, metrics of their episodes, tables, and tuning of controllers."""
 
-from flexman_gym.common.renamed import deprecated_names
-from flexman_gym.evaluation.agent import BASELINES, AgentSpec, find_agent
-from flexman_gym.evaluation.arm_design import ArmDesign, optimise_arm
-from flexman_gym.evaluation.episode_sensitivities import sensitivities
-from flexman_gym.evaluation.live import live
-from flexman_gym.evaluation.metrics import METRICS, Metric, evaluate, metrics_table
-from flexman_gym.evaluation.optimisation import TunedGains, tune
-from flexman_gym.evaluation.rollout import EpisodeRecord, Rollout, rollout
+from typing import TYPE_CHECKING
+
+from flexman_gym.common.lazy import lazy_names
+
+if TYPE_CHECKING:
+    from flexman_gym.evaluation.agent import BASELINES, AgentSpec, find_agent
+    from flexman_gym.evaluation.arm_design import ArmDesign, optimise_arm
+    from flexman_gym.evaluation.episode_sensitivities import sensitivities
+    from flexman_gym.evaluation.live import live
+    from flexman_gym.evaluation.metrics import METRICS, Metric, evaluate, metrics_table
+    from flexman_gym.evaluation.optimisation import TunedGains, tune
+    from flexman_gym.evaluation.rollout import EpisodeRecord, Rollout, rollout
 
 __all__ = [
     "BASELINES",
@@ -28,4 +32,4 @@ __all__ = [
     "tune",
 ]
 
-__getattr__ = deprecated_names(__name__)
+__getattr__, __dir__ = lazy_names(__name__)

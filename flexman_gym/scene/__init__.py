@@ -1,12 +1,24 @@
 """Scene: descriptions of an arm, its drive and its initial state, and their files."""
 
-from flexman_gym.scene import catalog
-from flexman_gym.scene.arm import Arm
-from flexman_gym.scene.joint import Joint, Motor
-from flexman_gym.scene.link import Link, NonUniformLink
-from flexman_gym.scene.rigid_body import LumpedMass, Payload
-from flexman_gym.scene.scene import Initial, ModelChoice, Scene
-from flexman_gym.scene.signals import ConstantTorque, SampledAngles, SampledSignal, SampledTorque, Signal, SineTorque
+from typing import TYPE_CHECKING
+
+from flexman_gym.common.lazy import lazy_names
+
+if TYPE_CHECKING:
+    from flexman_gym.scene import catalog
+    from flexman_gym.scene.arm import Arm
+    from flexman_gym.scene.joint import Joint, Motor
+    from flexman_gym.scene.link import Link, NonUniformLink
+    from flexman_gym.scene.rigid_body import LumpedMass, Payload
+    from flexman_gym.scene.scene import Initial, ModelChoice, Scene
+    from flexman_gym.scene.signals import (
+        ConstantTorque,
+        SampledAngles,
+        SampledSignal,
+        SampledTorque,
+        Signal,
+        SineTorque,
+    )
 
 __all__ = [
     "Arm",
@@ -27,3 +39,5 @@ __all__ = [
     "SineTorque",
     "catalog",
 ]
+
+__getattr__, __dir__ = lazy_names(__name__)

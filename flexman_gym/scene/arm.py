@@ -201,6 +201,11 @@ class Arm:
         """Number n of joints, which equals the number of links."""
         return len(self.joints)
 
+    def _repr_png_(self) -> bytes:
+        """Return a picture for a notebook."""
+        picture: bytes = load_entry("flexman_gym.draw.notebook:arm_picture")(self)
+        return picture
+
 
 def _text_table(heads: Sequence[str], rows: Sequence[Sequence[object]]) -> list[str]:
     """Return the lines of a table with right-aligned columns; of many rows only the first ones and the last one."""

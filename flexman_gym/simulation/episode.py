@@ -12,6 +12,7 @@ import numpy as np
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.computer import computer_info
 from flexman_gym.common.files import open_arrays, reading, write_file
+from flexman_gym.common.registry import load_entry
 from flexman_gym.common.renamed import MEMBERS, deprecated_members
 from flexman_gym.common.time_series import write_csv
 from flexman_gym.model.model import Model, build_model
@@ -230,6 +231,11 @@ class Episode:
         data |= {name: (("time", f"{name}_part"), values) for name, values in self.readings.items()}
         coordinates = {"time": self.time, "axis": list(AXES), "period": self.time[1:]}
         return xarray.Dataset(data, coordinates, attrs=self.about)
+
+    def _repr_png_(self) -> bytes:
+        """Return a picture for a notebook."""
+        picture: bytes = load_entry("flexman_gym.draw.notebook:episode_picture")(self)
+        return picture
 
 
 def _plain_value(value: Any) -> Any:

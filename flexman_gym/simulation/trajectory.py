@@ -10,6 +10,7 @@ import numpy as np
 
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import positive, value_error, vector, whole_number
+from flexman_gym.common.registry import load_entry
 from flexman_gym.common.time_series import write_csv
 from flexman_gym.kernels import layout
 from flexman_gym.model.linearization import MEASUREMENT_UNITS, LinearMeasurements, column_names
@@ -262,3 +263,8 @@ class Trajectory:
             explain=explain,
             kinetics=kinetics,
         )
+
+    def _repr_png_(self) -> bytes | None:
+        """Return a picture for a notebook."""
+        picture: bytes | None = load_entry("flexman_gym.draw.notebook:trajectory_picture")(self)
+        return picture

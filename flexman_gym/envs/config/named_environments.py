@@ -7,14 +7,11 @@ from typing import Any, Self
 from flexman_gym.common import files
 from flexman_gym.common.checks import mapping, one_of, value_error
 from flexman_gym.envs.limits import Limits
+from flexman_gym.envs.registration import CONDITION_FOLDER, ENVIRONMENT_FOLDER, IDS, NOMINAL
 from flexman_gym.envs.tasks import Slew, Task, find_task, plain_task
 from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.serialization import find_arm, to_plain
 
-ENVIRONMENT_FOLDER = Path(__file__).parents[1] / "named"  # files ID.yaml: default settings of a named environment
-CONDITION_FOLDER = Path(__file__).parents[1] / "conditions"  # files ARM/CONDITION.yaml: changed settings
-NOMINAL = "nominal"  # name of the condition without changes
-CONDITIONS = (NOMINAL, *sorted({path.stem for path in CONDITION_FOLDER.glob("*/*.yaml")}))
 Gains = dict[str, tuple[float, ...]]
 
 
@@ -113,21 +110,7 @@ def _merged(old: object, change: object) -> object:
     return change
 
 
-NAMED_ENVIRONMENTS = {
-    id: _NamedEnvironment.load(ENVIRONMENT_FOLDER / f"{id}.yaml")
-    for id in (
-        "FlexRRR-v0",
-        "FlexRRR-Track-v0",
-        "FlexRRR-Hold-v0",
-        "FlexRRR-Gravity-v0",
-        "FlexPlanar-v0",
-        "FlexPlanar-Track-v0",
-        "FlexPlanar-Hold-v0",
-        "FlexOne-v0",
-        "FlexQuanser-v0",
-        "FlexRotary-v0",
-    )
-}
+NAMED_ENVIRONMENTS = {id: _NamedEnvironment.load(ENVIRONMENT_FOLDER / f"{id}.yaml") for id in IDS}
 """Named environments: id -> default settings; each id has a file in ENVIRONMENT_FOLDER."""
 DEFAULT_ID = "FlexRRR-v0"  # environment of a configuration without an id
 
