@@ -8,57 +8,52 @@ from flexman_gym.envs.registration import register_environments
 if TYPE_CHECKING:
     __version__: str
     from flexman_gym import control, draw, metrics
-    from flexman_gym.envs import Limits, Randomisation, Slew
-    from flexman_gym.evaluation import evaluate, live, rollout, sensitivities, tune
+    from flexman_gym.envs.config.randomisation import Randomisation
+    from flexman_gym.envs.limits import Limits
+    from flexman_gym.envs.tasks import Slew
+    from flexman_gym.evaluation.episode_sensitivities import sensitivities
+    from flexman_gym.evaluation.live import live
     from flexman_gym.evaluation.machine.machine import Machine
-    from flexman_gym.fidelity import Choice, choose_model
-    from flexman_gym.identification import Filter, Fit, Measurement, Ringing, fit
-    from flexman_gym.model import (
-        Model,
+    from flexman_gym.evaluation.metrics import evaluate
+    from flexman_gym.evaluation.optimisation import tune
+    from flexman_gym.evaluation.rollout import rollout
+    from flexman_gym.fidelity.model_selection import Choice, choose_model
+    from flexman_gym.identification.fit import Fit, fit
+    from flexman_gym.identification.measurement import Filter, Measurement
+    from flexman_gym.identification.ringing import Ringing
+    from flexman_gym.model.deformation import curvature, curves, strain
+    from flexman_gym.model.dynamics import (
         acceleration,
-        build_model,
-        curvature,
-        curves,
         damping_matrix,
         frequencies,
-        holding_torques,
         inverse_dynamics,
         mass_matrix,
-        modes,
-        rest_state,
         stiffness_matrix,
-        strain,
         tip_acceleration,
     )
-    from flexman_gym.scene import (
-        Arm,
+    from flexman_gym.model.model import Model, build_model
+    from flexman_gym.model.statics import holding_torques, rest_state
+    from flexman_gym.model.vibration import modes
+    from flexman_gym.scene import catalog
+    from flexman_gym.scene.arm import Arm
+    from flexman_gym.scene.joint import Joint, Motor
+    from flexman_gym.scene.link import Link, NonUniformLink
+    from flexman_gym.scene.rigid_body import LumpedMass, Payload
+    from flexman_gym.scene.scene import Initial, ModelChoice, Scene
+    from flexman_gym.scene.signals import (
         ConstantTorque,
-        Initial,
-        Joint,
-        Link,
-        LumpedMass,
-        ModelChoice,
-        Motor,
-        NonUniformLink,
-        Payload,
         SampledAngles,
         SampledSignal,
         SampledTorque,
-        Scene,
         Signal,
         SineTorque,
-        catalog,
     )
-    from flexman_gym.simulation import (
-        METHODS,
-        Episode,
-        Simulator,
-        Trajectory,
-        generalised_alpha,
-        linearize,
-        simulate,
-        simulate_all,
-    )
+    from flexman_gym.simulation.episode import Episode
+    from flexman_gym.simulation.linearization import linearize
+    from flexman_gym.simulation.methods import METHODS, generalised_alpha
+    from flexman_gym.simulation.scene_simulation import simulate, simulate_all
+    from flexman_gym.simulation.simulator import Simulator
+    from flexman_gym.simulation.trajectory import Trajectory
 
 __all__ = [
     "METHODS",

@@ -6,7 +6,7 @@ from gymnasium.vector import AutoresetMode
 
 import flexman_gym as fm
 from flexman_gym.common.computer import computer_text
-from flexman_gym.envs import NAMED_ENVIRONMENTS
+from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from studies.benchmark.endurance import ALLOWED, SETTLED, alike, all_conditions, endurance_rows, endure
 from studies.benchmark.page import ENDURANCE_FILE, ROWS_FILE, publish
 from studies.files import folder, write_rows

@@ -16,8 +16,7 @@ import numpy as np
 from PIL import Image
 
 from flexman_gym.draw.video import write_video
-from flexman_gym.evaluation import live
-from flexman_gym.evaluation.live import LiveSession
+from flexman_gym.evaluation.live import LiveSession, live
 from studies.files import folder
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))

@@ -8,7 +8,8 @@ import pytest
 
 import flexman_gym as fm
 from flexman_gym import metrics
-from flexman_gym.control import LQR, PD
+from flexman_gym.control.lqr import LQR
+from flexman_gym.control.pd import PD
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.fidelity.mesh_search import MeshSearch
 from flexman_gym.fidelity.model_search import CANDIDATE_METHODS

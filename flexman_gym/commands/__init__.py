@@ -33,8 +33,8 @@ def add_options(parser: argparse.ArgumentParser, *names: str, **changes: dict[st
         names: "scene", "agent", "--env", "--episodes", "--seed", "--set" or "--trust".
         changes: name of an argument without dashes -> keyword arguments of `add_argument` for this command.
     """
-    from flexman_gym.envs import NAMED_ENVIRONMENTS
     from flexman_gym.envs.config.configuration import SET_HELP
+    from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
     from flexman_gym.evaluation.agent import AGENTS
     from flexman_gym.evaluation.rollout import TEST_SEEDS
 

@@ -10,8 +10,7 @@ import numpy as np
 import yaml
 
 from flexman_gym.common.markdown import markdown_table
-from flexman_gym.envs import NAMED_ENVIRONMENTS
-from flexman_gym.envs.config.named_environments import DEFAULT_ID
+from flexman_gym.envs.config.named_environments import DEFAULT_ID, NAMED_ENVIRONMENTS
 from flexman_gym.evaluation.agent_info import describe_agent
 from flexman_gym.evaluation.metrics import METRICS
 from flexman_gym.evaluation.policy_files import POLICIES, exceeded_limits

@@ -15,10 +15,9 @@ from flexman_gym.__main__ import COMMAND_GROUPS, main
 from flexman_gym.commands.list import KINDS
 from flexman_gym.common import renamed
 from flexman_gym.common.renamed import OPTIMISED
-from flexman_gym.control import BASES
-from flexman_gym.envs import NAMED_ENVIRONMENTS
+from flexman_gym.control.base_controllers import BASES
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.envs.config.named_environments import CONDITIONS
+from flexman_gym.envs.config.named_environments import CONDITIONS, NAMED_ENVIRONMENTS
 from flexman_gym.envs.sensors import SENSOR_NAMES
 from flexman_gym.evaluation.diagnosis import REMEDIES, RINGING, Diagnosis, diagnose
 from flexman_gym.league import certificate, page, rows

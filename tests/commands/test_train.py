@@ -13,8 +13,8 @@ from flexman_gym.common import files
 from flexman_gym.common.renamed import OPTIONS
 from flexman_gym.common.run_folder import SETTINGS
 from flexman_gym.control.margins import has_margins
-from flexman_gym.envs import NAMED_ENVIRONMENTS
 from flexman_gym.envs.config.configuration import Configuration
+from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.evaluation import optimisation
 
 SMALL = ["--steps", "256", "--envs", "2", "--quiet"]

@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 
-from flexman_gym.control import PD, Agent
 from flexman_gym.control.actions import TorqueMode
+from flexman_gym.control.agent import Agent
 from flexman_gym.control.base_controllers import make_base
 from flexman_gym.control.controller import EpisodeInfo
 from flexman_gym.control.network import Network
+from flexman_gym.control.pd import PD
 from flexman_gym.envs.config.specification import make_plant
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.sensors import ServoErrors, find_sensors

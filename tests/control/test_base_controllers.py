@@ -3,16 +3,18 @@
 import numpy as np
 import pytest
 
-from flexman_gym.control import BASES, LQR, PD, InputShapedController, TrackingLQR
-from flexman_gym.control.base_controllers import make_base
-from flexman_gym.control.lqr import CostWeights
+from flexman_gym.control.base_controllers import BASES, make_base
+from flexman_gym.control.input_shaping.shaped_controller import InputShapedController
+from flexman_gym.control.lqr import LQR, CostWeights, TrackingLQR
+from flexman_gym.control.pd import PD
 from flexman_gym.control.torque_feedback_pd import TorqueFeedbackPD
 from flexman_gym.control.tracking import OutputFeedback
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.envs.config.specification import make_plant
 from flexman_gym.envs.env import FlexManEnv
-from flexman_gym.evaluation import evaluate, rollout
+from flexman_gym.evaluation.metrics import evaluate
+from flexman_gym.evaluation.rollout import rollout
 
 from oracles.assertions import refusal
 

@@ -26,7 +26,7 @@ from flexman_gym.control.tracking import Tracking
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.envs.config.specification import make_plant
-from flexman_gym.evaluation import evaluate
+from flexman_gym.evaluation.metrics import evaluate
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.linearization import linearize
 

@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 import flexman_gym as fm
-from flexman_gym.control import LQR, Controller, EpisodeInfo, TrackingLQR
-from flexman_gym.control.lqr import FEEDFORWARD_FRACTION, CostWeights
+from flexman_gym.control.controller import Controller, EpisodeInfo
+from flexman_gym.control.lqr import FEEDFORWARD_FRACTION, LQR, CostWeights, TrackingLQR
 from flexman_gym.control.references.trajectories import TIMING_LAWS, plan_path, plan_slew
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity

@@ -17,7 +17,7 @@ from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.evaluation import optimisation
 from flexman_gym.evaluation.optimisation import MIN_MARGINS
-from flexman_gym.model import mass_matrix
+from flexman_gym.model.dynamics import mass_matrix
 from flexman_gym.simulation.parameters import varied_model
 from studies.servos.measure import AT_REST, FrictionCase, friction_rows, remaining_vibration, smoothed_loop
 

@@ -9,11 +9,12 @@ from scipy.optimize import lsq_linear
 
 import flexman_gym as fm
 from flexman_gym.__main__ import main
-from flexman_gym.control import EpisodeInfo, mpc
+from flexman_gym.control import mpc
+from flexman_gym.control.controller import EpisodeInfo
 from flexman_gym.control.lqr import CostWeights
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
-from flexman_gym.evaluation import rollout
+from flexman_gym.evaluation.rollout import rollout
 from flexman_gym.metrics import settling_time
 from flexman_gym.model.state_space import discretize
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from flexman_gym.common.snapshot import get_state, set_state
-from flexman_gym.control import OutputFeedback, Tracking
 from flexman_gym.control.actions import TorqueMode, make_action_mode
 from flexman_gym.control.observers.observer import Estimate
+from flexman_gym.control.tracking import OutputFeedback, Tracking
 
 from oracles.observed_arms import small_plant
 

@@ -8,7 +8,7 @@ import pytest
 
 import flexman_gym as fm
 from flexman_gym.__main__ import main
-from flexman_gym.control import EpisodeInfo
+from flexman_gym.control.controller import EpisodeInfo
 from flexman_gym.control.lqr import LQR
 from flexman_gym.control.references import optimised_slews
 from flexman_gym.control.references.optimised_slews import (
@@ -23,8 +23,9 @@ from flexman_gym.control.references.optimised_slews import (
 )
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
-from flexman_gym.evaluation import evaluate, rollout
+from flexman_gym.evaluation.metrics import evaluate
 from flexman_gym.evaluation.optimisation import empty_slew_table, optimise_slews
+from flexman_gym.evaluation.rollout import rollout
 from flexman_gym.metrics import settling_time
 from flexman_gym.model.dynamics import mass_matrix
 from flexman_gym.simulation.batch import Batch

@@ -7,13 +7,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import flexman_gym  # noqa: F401  registers the environments
-from flexman_gym.control import PD, Controller, EpisodeInfo
 from flexman_gym.control.base_controllers import make_base
+from flexman_gym.control.controller import Controller, EpisodeInfo
+from flexman_gym.control.pd import PD
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.envs.config.specification import make_plant
 from flexman_gym.envs.sensors import SENSORS
-from flexman_gym.model import holding_torques
+from flexman_gym.model.statics import holding_torques
 
 numbers = st.floats(-10, 10)
 

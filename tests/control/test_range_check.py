@@ -6,11 +6,20 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from flexman_gym.control import PD, EpisodeInfo, InputShapedController, RangeCheckedController
-from flexman_gym.control.range_check import GOOD, NOT_FINITE, OUT_OF_RANGE, compensated_model, holding_periods
+from flexman_gym.control.controller import EpisodeInfo
+from flexman_gym.control.input_shaping.shaped_controller import InputShapedController
+from flexman_gym.control.pd import PD
+from flexman_gym.control.range_check import (
+    GOOD,
+    NOT_FINITE,
+    OUT_OF_RANGE,
+    RangeCheckedController,
+    compensated_model,
+    holding_periods,
+)
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
-from flexman_gym.evaluation import rollout
+from flexman_gym.evaluation.rollout import rollout
 from flexman_gym.model.statics import rigid_holding_torques
 
 from oracles.assertions import refusal

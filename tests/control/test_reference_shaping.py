@@ -3,12 +3,11 @@
 import numpy as np
 import pytest
 
-from flexman_gym.control import Oracle
 from flexman_gym.control.agent import Agent
 from flexman_gym.control.controller import EpisodeInfo
 from flexman_gym.control.network import Network
 from flexman_gym.control.observers.observer import Estimate
-from flexman_gym.control.observers.oracle import DEVIATION_DECAY
+from flexman_gym.control.observers.oracle import DEVIATION_DECAY, Oracle
 from flexman_gym.control.reference_shaping import OFFSET_FREQUENCY, TIME_SCALING_GAIN, ReferenceShaping, ShapingLimits
 from flexman_gym.control.references.adaptive_references import SlewReferences
 from flexman_gym.control.shaping_mode import DEVIATION_SCALE

@@ -4,12 +4,16 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from flexman_gym.control import LQR, PD, Controller, InputShapedController
+from flexman_gym.control.controller import Controller
+from flexman_gym.control.input_shaping.shaped_controller import InputShapedController
 from flexman_gym.control.input_shaping.shapers import design_shaper, excited_modes, shaper_residual
+from flexman_gym.control.lqr import LQR
+from flexman_gym.control.pd import PD
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.envs.env import FlexManEnv
-from flexman_gym.evaluation import evaluate, rollout
+from flexman_gym.evaluation.metrics import evaluate
+from flexman_gym.evaluation.rollout import rollout
 from flexman_gym.model.model import build_model
 from flexman_gym.model.statics import rest_tips
 from flexman_gym.scene import catalog

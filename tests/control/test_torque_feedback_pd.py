@@ -10,7 +10,7 @@ from flexman_gym.control.base_controllers import make_base
 from flexman_gym.control.controller import EpisodeInfo, Plant
 from flexman_gym.control.friction_compensation import mean_friction_torques
 from flexman_gym.control.torque_feedback_pd import TUNINGS, TorqueFeedbackPD
-from flexman_gym.evaluation import evaluate
+from flexman_gym.evaluation.metrics import evaluate
 from flexman_gym.model.statics import holding_torques, rest_state
 
 LIMITS, PERIOD, ONE, ON = (12.0, 4.0), 0.02, np.array([0]), np.ones(1, dtype=bool)

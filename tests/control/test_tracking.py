@@ -15,7 +15,7 @@ from flexman_gym.control.tracking import OutputFeedback, Tracking
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.vector_env import FlexManVectorEnv
-from flexman_gym.evaluation import rollout
+from flexman_gym.evaluation.rollout import rollout
 from flexman_gym.metrics import settling_time
 from flexman_gym.simulation.parameters import varied_model
 

@@ -20,8 +20,8 @@ import pytest
 
 import flexman_gym as fm
 from flexman_gym.__main__ import COMMAND_GROUPS, main
-from flexman_gym.envs import FlexManEnv
 from flexman_gym.envs.config.configuration import Configuration
+from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.evaluation.machine import simulated
 
 from oracles.files import ROOT

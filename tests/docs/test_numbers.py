@@ -6,7 +6,7 @@ import re
 import yaml
 
 import flexman_gym as fm
-from flexman_gym.envs import NAMED_ENVIRONMENTS
+from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.evaluation.policy_files import POLICIES, exceeded_limits
 from flexman_gym.league import page
 from flexman_gym.league.rows import LeagueRows

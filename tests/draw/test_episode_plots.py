@@ -9,7 +9,7 @@ from matplotlib.cbook import STEP_LOOKUP_MAP
 from matplotlib.image import imread
 
 from flexman_gym.draw.trajectories import draw_episodes
-from flexman_gym.evaluation import EpisodeRecord
+from flexman_gym.evaluation.rollout import EpisodeRecord
 
 
 def record(error, action):

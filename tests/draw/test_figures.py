@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import flexman_gym as fm
-from flexman_gym.draw import paper_figures
+from flexman_gym.draw.trajectories import paper_figures
 
 
 @pytest.fixture(scope="module")

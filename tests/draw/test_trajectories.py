@@ -8,8 +8,7 @@ import pytest
 from matplotlib.image import imread
 
 import flexman_gym as fm
-from flexman_gym.draw import trajectory_figure
-from flexman_gym.draw.trajectories import paper_figures
+from flexman_gym.draw.trajectories import paper_figures, trajectory_figure
 from flexman_gym.scene import catalog
 from flexman_gym.scene.scene import Initial, ModelChoice, Scene
 from flexman_gym.scene.signals import ConstantTorque

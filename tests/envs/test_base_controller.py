@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import flexman_gym as fm
-from flexman_gym.control import PD
+from flexman_gym.control.pd import PD
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS

@@ -11,9 +11,8 @@ import pytest
 import flexman_gym as fm
 from flexman_gym.control.base_controllers import make_base
 from flexman_gym.control.pd import PD, stability_limit
-from flexman_gym.envs import NAMED_ENVIRONMENTS
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.envs.config.named_environments import CONDITION_FOLDER, CONDITIONS
+from flexman_gym.envs.config.named_environments import CONDITION_FOLDER, CONDITIONS, NAMED_ENVIRONMENTS
 from flexman_gym.envs.config.randomisation import Randomisation
 from flexman_gym.envs.config.specification import make_plant
 from flexman_gym.model.state_space import discretize

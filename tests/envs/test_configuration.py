@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 import flexman_gym as fm
 from flexman_gym.common import files
 from flexman_gym.common.renamed import complete_environment
-from flexman_gym.control import PD
-from flexman_gym.envs import NAMED_ENVIRONMENTS
+from flexman_gym.control.pd import PD
 from flexman_gym.envs.config.configuration import RENAMED, Configuration
+from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.envs.config.settings import SETTINGS
 from flexman_gym.evaluation.policy_files import policy_folder
 from flexman_gym.scene.serialization import find_arm, to_plain

@@ -9,14 +9,15 @@ from gymnasium.utils.env_checker import check_env
 
 import flexman_gym as fm
 from flexman_gym.common import files
-from flexman_gym.control import Controller
 from flexman_gym.control.base_controllers import make_base
-from flexman_gym.envs import FlexManEnv, FlexManVectorEnv
+from flexman_gym.control.controller import Controller
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.envs.config.specification import make_plant
 from flexman_gym.envs.effects import SIGNALS
+from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.sensors import Entry
 from flexman_gym.envs.tasks import Goal, Hold
+from flexman_gym.envs.vector_env import FlexManVectorEnv
 
 from oracles.random_inputs import actions
 

@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import flexman_gym as fm
-from flexman_gym.envs import NAMED_ENVIRONMENTS
+from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.sensors import FullState, SensorArray
 from flexman_gym.envs.view import View

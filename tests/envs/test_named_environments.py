@@ -9,7 +9,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 import flexman_gym as fm
-from flexman_gym.envs import NAMED_ENVIRONMENTS
+from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.envs.config.settings import SETTINGS as DECLARED
 from flexman_gym.envs.rendering import RENDER_KEYWORDS
 from flexman_gym.envs.vector_env import OWN_KEYWORDS

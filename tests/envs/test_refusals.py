@@ -8,9 +8,10 @@ import pytest
 import flexman_gym as fm
 from flexman_gym.common import files
 from flexman_gym.control.pd import PD
-from flexman_gym.envs import NAMED_ENVIRONMENTS, FlexManEnv
 from flexman_gym.envs.config.configuration import Configuration
+from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.envs.config.settings import SETTINGS as DECLARED
+from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.sensors import Quantities, find_sensors
 from flexman_gym.envs.tasks import Hold, Slew, Track
 from flexman_gym.envs.vector_env import FlexManVectorEnv

@@ -4,7 +4,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from flexman_gym.envs import NAMED_ENVIRONMENTS
+from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.vector_env import FlexManVectorEnv
 from flexman_gym.model.deformation import curves

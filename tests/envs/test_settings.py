@@ -10,8 +10,7 @@ import pytest
 from gymnasium.envs.registration import EnvSpec
 
 import flexman_gym as fm
-from flexman_gym.envs import NAMED_ENVIRONMENTS
-from flexman_gym.envs.config.named_environments import CONDITIONS
+from flexman_gym.envs.config.named_environments import CONDITIONS, NAMED_ENVIRONMENTS
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.vector_env import FlexManVectorEnv
 from flexman_gym.scene.serialization import find_arm

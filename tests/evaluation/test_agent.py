@@ -5,20 +5,25 @@ import numpy as np
 import pytest
 
 import flexman_gym as fm
-from flexman_gym.control import LQR, PD, TrackingLQR
 from flexman_gym.control.actions import TorqueMode
 from flexman_gym.control.agent import Agent
+from flexman_gym.control.lqr import LQR, TrackingLQR
 from flexman_gym.control.network import Network
-from flexman_gym.envs import NAMED_ENVIRONMENTS
+from flexman_gym.control.pd import PD
 from flexman_gym.envs.config.configuration import Configuration
+from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.envs.config.specification import make_base_and_mode
 from flexman_gym.envs.vector_env import FlexManVectorEnv
-from flexman_gym.evaluation import BASELINES, AgentSpec, evaluate, find_agent, rollout
 from flexman_gym.evaluation.agent import (
+    BASELINES,
+    AgentSpec,
     common_environment,
+    find_agent,
     split_interface,
 )
+from flexman_gym.evaluation.metrics import evaluate
 from flexman_gym.evaluation.policy_files import read_policy, write_policy
+from flexman_gym.evaluation.rollout import rollout
 
 from oracles.assertions import refusal
 from oracles.shipped import made_up

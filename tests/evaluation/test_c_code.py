@@ -13,13 +13,15 @@ from scipy.io import loadmat
 
 import flexman_gym as fm
 from flexman_gym.__main__ import main
-from flexman_gym.control import EpisodeInfo, KalmanFilter, OutputFeedback, Tracking
+from flexman_gym.control.controller import EpisodeInfo
 from flexman_gym.control.network import Network
+from flexman_gym.control.observers.kalman_filter import KalmanFilter
 from flexman_gym.control.range_check import GOOD, NOT_FINITE, OUT_OF_RANGE, holding_periods
+from flexman_gym.control.tracking import OutputFeedback, Tracking
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.specification import make_plant
 from flexman_gym.envs.sensors.sensor import Entry
-from flexman_gym.evaluation import AgentSpec
+from flexman_gym.evaluation.agent import AgentSpec
 from flexman_gym.evaluation.c_code import begin_agent, write_c
 from flexman_gym.evaluation.matlab import write_matlab
 from flexman_gym.model.statics import rigid_holding_torques

@@ -9,8 +9,9 @@ from flexman_gym.control.input_shaping.shapers import excited_modes
 from flexman_gym.control.margins import margins, sampled_loops
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
-from flexman_gym.evaluation import diagnosis, rollout
+from flexman_gym.evaluation import diagnosis
 from flexman_gym.evaluation.diagnosis import CYCLE, FAILED, NOISE, OFFSET, REMEDIES, RINGING, TRANSIENT, diagnose
+from flexman_gym.evaluation.rollout import rollout
 
 PERIOD, COUNT = 0.01, 300
 TIME = PERIOD * np.arange(COUNT)

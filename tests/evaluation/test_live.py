@@ -18,7 +18,7 @@ import pytest
 import flexman_gym as fm
 from flexman_gym.__main__ import main
 from flexman_gym.draw.live import LivePage
-from flexman_gym.envs import NAMED_ENVIRONMENTS
+from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.evaluation.live import Events
 from flexman_gym.evaluation.policy_files import FOLDER
 from flexman_gym.evaluation.rollout import RolloutLoop

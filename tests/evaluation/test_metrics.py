@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.evaluation import METRICS, EpisodeRecord, evaluate, metrics_table, rollout
+from flexman_gym.evaluation.metrics import METRICS, evaluate, metrics_table
+from flexman_gym.evaluation.rollout import EpisodeRecord, rollout
 
 from oracles.records import record
 

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 import flexman_gym  # noqa: F401  registers the environments
-from flexman_gym.control import PD
 from flexman_gym.control.margins import Margins, has_margins, margins, sampled_loops
+from flexman_gym.control.pd import PD
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation import optimisation
 

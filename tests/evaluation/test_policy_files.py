@@ -14,7 +14,8 @@ from safetensors.numpy import load, save
 import flexman_gym as fm
 from flexman_gym.control.base_controllers import BASES
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.evaluation import find_agent, policy_files, rollout
+from flexman_gym.evaluation import policy_files
+from flexman_gym.evaluation.agent import find_agent
 from flexman_gym.evaluation.agent_info import check_seeds_unseen, describe_agent, training_seconds
 from flexman_gym.evaluation.policy_files import (
     ARRAYS,
@@ -28,6 +29,7 @@ from flexman_gym.evaluation.policy_files import (
     read_policy,
     write_policy,
 )
+from flexman_gym.evaluation.rollout import rollout
 
 from oracles import shipped as made
 from oracles.assertions import refusal

@@ -5,10 +5,11 @@ import numpy as np
 import pytest
 
 import flexman_gym as fm
-from flexman_gym.control import PD
+from flexman_gym.control.pd import PD
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.evaluation import METRICS, AgentSpec, rollout
-from flexman_gym.evaluation.rollout import TEST_SEEDS
+from flexman_gym.evaluation.agent import AgentSpec
+from flexman_gym.evaluation.metrics import METRICS
+from flexman_gym.evaluation.rollout import TEST_SEEDS, rollout
 from flexman_gym.metrics import BAND
 
 from oracles.assertions import refusal

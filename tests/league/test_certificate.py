@@ -12,8 +12,9 @@ import flexman_gym as fm
 from flexman_gym.envs.config import specification
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.env import FlexManEnv
-from flexman_gym.evaluation import METRICS, policy_files
+from flexman_gym.evaluation import policy_files
 from flexman_gym.evaluation.agent import find_agent
+from flexman_gym.evaluation.metrics import METRICS
 from flexman_gym.evaluation.policy_files import CERTIFICATE, FOLDER, METADATA, POLICIES, read_certificate, write_policy
 from flexman_gym.evaluation.rollout import rollout
 from flexman_gym.league import certificate, rows

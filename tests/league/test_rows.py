@@ -13,12 +13,11 @@ import flexman_gym.league.rows as league
 from flexman_gym.control.base_controllers import BASES
 from flexman_gym.control.references.optimised_slews import SHIPPED_TABLE, SlewTable
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.evaluation import METRICS, rollout
 from flexman_gym.evaluation import agent as agent_module
 from flexman_gym.evaluation.agent import BASELINES, AgentSpec
 from flexman_gym.evaluation.agent_info import check_seeds_unseen, describe_agent, training_seconds
-from flexman_gym.evaluation.metrics import LIMIT_METRICS
-from flexman_gym.evaluation.rollout import SELECTION_SEEDS, EpisodeRecord, training_seed
+from flexman_gym.evaluation.metrics import LIMIT_METRICS, METRICS
+from flexman_gym.evaluation.rollout import SELECTION_SEEDS, EpisodeRecord, rollout, training_seed
 from flexman_gym.league.rows import (
     LIMITED,
     ROWS,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import flexman_gym as fm
-from flexman_gym.control import PD
+from flexman_gym.control.pd import PD
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation.agent import AgentSpec, find_agent
 from flexman_gym.evaluation.diagnosis import diagnose, diagnose_log

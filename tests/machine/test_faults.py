@@ -6,7 +6,7 @@ import signal
 import numpy as np
 import pytest
 
-from flexman_gym.control import PD
+from flexman_gym.control.pd import PD
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.evaluation.machine.drive import drive, wanted_quantities

@@ -11,7 +11,8 @@ import numpy as np
 import flexman_gym as fm
 from flexman_agents.settings import Settings
 from flexman_gym import metrics
-from flexman_gym.control import LQR, PD, TrackingLQR
+from flexman_gym.control.lqr import LQR, TrackingLQR
+from flexman_gym.control.pd import PD
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.tasks import Hold, Track
 from flexman_gym.simulation.batch import Batch

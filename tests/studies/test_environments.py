@@ -8,7 +8,7 @@ import pytest
 from environments import ERROR_FILE
 
 import flexman_gym as fm
-from flexman_gym.envs import NAMED_ENVIRONMENTS
+from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.envs.tasks import TASKS
 from studies.environments.family import FAMILIES, family_page
 from studies.environments.gallery import gallery_page, tasks_page

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from flexman_gym.envs import NAMED_ENVIRONMENTS
+from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.league import page as league_page
 from flexman_gym.league.rows import LeagueRows
 from flexman_gym.metrics import upper_median

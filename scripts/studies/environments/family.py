@@ -12,7 +12,8 @@ from flexman_gym.common import files
 from flexman_gym.common.markdown import markdown_table
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.envs.tasks import Slew
-from flexman_gym.scene import Link, catalog
+from flexman_gym.scene import catalog
+from flexman_gym.scene.link import Link
 from studies.environments.measure import DURATION, Baseline, ModelError
 from studies.environments.text import (
     arm_facts,

@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 
 import flexman_gym as fm
-from flexman_gym.identification import Filter, Measurement
 from flexman_gym.identification.least_squares import FreeParameters
-from flexman_gym.identification.measurement import SimulatedResponse
+from flexman_gym.identification.measurement import Filter, Measurement, SimulatedResponse
 from flexman_gym.model.dynamics import mass_matrix
 from flexman_gym.model.model import Model, build_model
 from flexman_gym.simulation.parameters import nominal_parameters
