@@ -40,7 +40,8 @@ def _run(options: argparse.Namespace) -> int:
 def _entries(what: str) -> Iterable[tuple[str, str]]:
     """Yield each name of a kind with a short description."""
     from flexman_gym.control.base_controllers import BASES
-    from flexman_gym.envs.config.named_environments import CONDITION_FOLDER, CONDITIONS, NAMED_ENVIRONMENTS
+    from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
+    from flexman_gym.envs.registration import CONDITION_FOLDER, CONDITIONS
     from flexman_gym.envs.sensors import SENSOR_SETS, SENSORS
     from flexman_gym.scene.serialization import ARMS, named_arm
     from flexman_gym.simulation.methods import METHODS

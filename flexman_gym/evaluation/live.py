@@ -26,9 +26,10 @@ from flexman_gym.common.files import new_folder
 from flexman_gym.common.run_folder import SETTINGS as RUN_SETTINGS
 from flexman_gym.control.pd import PD
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.envs.config.named_environments import DEFAULT_ID, NAMED_ENVIRONMENTS, NOMINAL, condition_names
+from flexman_gym.envs.config.named_environments import DEFAULT_ID, NAMED_ENVIRONMENTS, condition_names
 from flexman_gym.envs.effects import SIGNALS
 from flexman_gym.envs.episodes import Episodes
+from flexman_gym.envs.registration import NOMINAL
 from flexman_gym.envs.renderer import live_row
 from flexman_gym.envs.rendering import make_renderer
 from flexman_gym.evaluation.agent import AGENTS, find_agent

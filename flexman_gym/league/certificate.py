@@ -18,7 +18,8 @@ from flexman_gym.common.computer import computer_info
 from flexman_gym.common.files import check_output, write_atomically
 from flexman_gym.common.parallel import Workers
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS, NOMINAL
+from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
+from flexman_gym.envs.registration import NOMINAL
 from flexman_gym.envs.tasks import plain_task
 from flexman_gym.evaluation.agent import INTERFACE, find_agent
 from flexman_gym.evaluation.metrics import LIMIT_METRICS, METRICS, task_metrics

@@ -6,7 +6,8 @@ from typing import Any, NamedTuple
 
 from flexman_gym.common.checks import one_of, value_error
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.envs.config.named_environments import DEFAULT_ID, NAMED_ENVIRONMENTS, NOMINAL
+from flexman_gym.envs.config.named_environments import DEFAULT_ID, NAMED_ENVIRONMENTS
+from flexman_gym.envs.registration import NOMINAL
 from flexman_gym.evaluation.agent import INTERFACE
 from flexman_gym.evaluation.metrics import task_metrics
 from flexman_gym.evaluation.policy_files import policy_folder, read_policy

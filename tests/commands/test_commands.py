@@ -17,7 +17,8 @@ from flexman_gym.common import renamed
 from flexman_gym.common.renamed import OPTIMISED
 from flexman_gym.control.base_controllers import BASES
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.envs.config.named_environments import CONDITIONS, NAMED_ENVIRONMENTS
+from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
+from flexman_gym.envs.registration import CONDITIONS
 from flexman_gym.envs.sensors import SENSOR_NAMES
 from flexman_gym.evaluation.diagnosis import REMEDIES, RINGING, Diagnosis, diagnose
 from flexman_gym.league import certificate, page, rows

@@ -12,9 +12,10 @@ import flexman_gym as fm
 from flexman_gym.control.base_controllers import make_base
 from flexman_gym.control.pd import PD, stability_limit
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.envs.config.named_environments import CONDITION_FOLDER, CONDITIONS, NAMED_ENVIRONMENTS
+from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.envs.config.randomisation import Randomisation
 from flexman_gym.envs.config.specification import make_plant
+from flexman_gym.envs.registration import CONDITION_FOLDER, CONDITIONS
 from flexman_gym.model.state_space import discretize
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.parameters import UNMODELLED

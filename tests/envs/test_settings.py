@@ -10,8 +10,10 @@ import pytest
 from gymnasium.envs.registration import EnvSpec
 
 import flexman_gym as fm
-from flexman_gym.envs.config.named_environments import CONDITIONS, NAMED_ENVIRONMENTS
+from flexman_gym.envs.config.configuration import Configuration
+from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.envs.env import FlexManEnv
+from flexman_gym.envs.registration import CONDITIONS
 from flexman_gym.envs.vector_env import FlexManVectorEnv
 from flexman_gym.scene.serialization import find_arm
 
@@ -157,5 +159,5 @@ def test_a_reward_may_be_a_constant_or_a_number_for_each_arm():
 
 def test_the_cause_of_a_reward_that_fails_is_kept():
     with pytest.raises(ValueError) as caught:
-        fm.rollout("pd", fm.envs.config.configuration.Configuration("FlexOne-v0", {"reward": misspelt}), 1)
+        fm.rollout("pd", Configuration("FlexOne-v0", {"reward": misspelt}), 1)
     assert isinstance(caught.value.__cause__, AttributeError)

@@ -25,13 +25,13 @@ from flexman_gym.control.pd import torque_limits
 from flexman_gym.envs.config.named_environments import (
     DEFAULT_ID,
     NAMED_ENVIRONMENTS,
-    NOMINAL,
     Gains,
     condition_names,
     condition_settings,
 )
 from flexman_gym.envs.config.randomisation import Randomisation
 from flexman_gym.envs.config.settings import AUTO_SETTINGS, SETTINGS, EnvironmentSettings
+from flexman_gym.envs.registration import NOMINAL
 from flexman_gym.model.state_space import first_order_lag
 from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.input_checks import warn_unusual_units

@@ -5,7 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from flexman_gym.common.markdown import markdown_table
-from flexman_gym.envs.config.named_environments import CONDITION_FOLDER, CONDITIONS, NAMED_ENVIRONMENTS, NOMINAL
+from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
+from flexman_gym.envs.registration import CONDITION_FOLDER, CONDITIONS, NOMINAL
 from flexman_gym.envs.sensors import SENSOR_NAMES
 from flexman_gym.envs.tasks import TASKS
 from flexman_gym.metrics import BAND, SETTLING_WINDOW, VIBRATION_WINDOW
