@@ -19,15 +19,15 @@ from stable_baselines3.common.logger import CSVOutputFormat, KVWriter, Logger, T
 from torch.utils.tensorboard import SummaryWriter
 
 from flexman_agents.settings import Schedule, Settings
+from flexman_gym.agent.agent import Law
 from flexman_gym.common.checks import is_decimal_integer
 from flexman_gym.common.files import write_atomically
 from flexman_gym.common.renamed import MEMBERS, deprecated_members, deprecated_names
 from flexman_gym.common.time_series import read_csv_rows
-from flexman_gym.control.agent import Law
-from flexman_gym.evaluation.agent import AgentSpec, split_interface
 from flexman_gym.evaluation.agent_info import CPU_COLUMN
+from flexman_gym.evaluation.agents import AgentSpec, split_interface
 from flexman_gym.evaluation.metrics import METRICS, evaluate
-from flexman_gym.evaluation.rollout import SELECTION_SEEDS
+from flexman_gym.evaluation.rollouts import SELECTION_SEEDS
 
 
 class Interrupted(Exception):

@@ -15,10 +15,10 @@ from flexman_gym.common.checks import one_of, value_error
 from flexman_gym.kernels import layout
 from flexman_gym.model.model import Model
 from flexman_gym.simulation.batch import Batch
-from flexman_gym.simulation.differentiation import constant_derivatives
 from flexman_gym.simulation.methods import DEFAULT_METHOD, Method
 from flexman_gym.simulation.parameters import ARM, PARAMETERS, ScalarParameter, varied_model
 from flexman_gym.simulation.period_map import PeriodMap
+from flexman_gym.toolbox.sensitivity.differentiation import constant_derivatives
 
 
 class DifferentiableArm:

@@ -14,19 +14,19 @@ from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 from flexman_agents.callbacks import STEPS_COLUMN, Hook, Interrupted, TrainingReport, open_logger, stop_on_interrupt
 from flexman_agents.sb3 import ACTIVATION_LAYERS
 from flexman_agents.settings import DEFAULT_HYPERPARAMETERS, Settings
+from flexman_gym.agent.action_modes import ActionMode
+from flexman_gym.agent.agent import history_length
+from flexman_gym.agent.base_controllers import make_base
+from flexman_gym.agent.controller import Controller, EpisodeInfo, Readings
+from flexman_gym.agent.mode_wrapper import ModeWrapper
+from flexman_gym.agent.network import MAX_INPUT, VARIANCE_OFFSET, Network
 from flexman_gym.common.arrays import Array, BoolArray, IntArray
 from flexman_gym.common.checks import one_of, value_error
 from flexman_gym.common.run_folder import NEWEST, write_npz
-from flexman_gym.control.actions import ActionMode
-from flexman_gym.control.agent import history_length
-from flexman_gym.control.base_controllers import make_base
-from flexman_gym.control.controller import Controller, EpisodeInfo, Readings
-from flexman_gym.control.mode_wrapper import ModeWrapper
-from flexman_gym.control.network import MAX_INPUT, VARIANCE_OFFSET, Network
 from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.envs.config.specification import make_base_and_mode, make_plant
-from flexman_gym.evaluation.agent import AgentSpec, observation_layout, split_interface
-from flexman_gym.evaluation.rollout import Rollout, rollout, training_seed
+from flexman_gym.evaluation.agents import AgentSpec, observation_layout, split_interface
+from flexman_gym.evaluation.rollouts import Rollout, rollout, training_seed
 
 BETA = (1.0, 0.5, 0.25)  # dimensionless; share of the arms controlled by the teacher in iterations 0, 1 and 2; later 0
 ACTION_SCALE = 10.0  # dimensionless; factor of the labels of the network, because most actions are much smaller than 1

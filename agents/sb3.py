@@ -24,8 +24,8 @@ from flexman_gym.common import files
 from flexman_gym.common.checks import one_of, value_error
 from flexman_gym.common.files import existing_file
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.evaluation.agent import AgentSpec
-from flexman_gym.evaluation.rollout import training_seed
+from flexman_gym.evaluation.agents import AgentSpec
+from flexman_gym.evaluation.rollouts import training_seed
 
 ACTIVATION_LAYERS = {"tanh": torch.nn.Tanh, "relu": torch.nn.ReLU}  # name in settings.ACTIVATIONS -> layer
 ALGORITHMS: dict[str, type[BaseAlgorithm]] = {"ppo": sb3.PPO, "sac": sb3.SAC}

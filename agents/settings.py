@@ -11,6 +11,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Self
 
+from flexman_gym.agent.base_controllers import BASES, parse_kind
 from flexman_gym.common import files
 from flexman_gym.common.checks import (
     finite,
@@ -27,7 +28,6 @@ from flexman_gym.common.checks import (
 )
 from flexman_gym.common.renamed import RUN_SETTINGS, deprecated_arguments, rename_keys
 from flexman_gym.common.run_folder import NO_SETTINGS, SETTINGS, read_settings
-from flexman_gym.control.base_controllers import BASES, parse_kind
 from flexman_gym.envs.config.configuration import Configuration
 
 RECORDED_PACKAGES = ("flexman_gym", "gymnasium", "numba", "numpy", "scipy", "stable-baselines3", "torch")

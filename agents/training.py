@@ -36,7 +36,7 @@ from flexman_gym.common.files import reading
 from flexman_gym.common.renamed import ARGUMENTS, deprecated_arguments
 from flexman_gym.common.run_folder import BEST, NEWEST, SETTINGS, lock_folder, read_npz, read_settings, write_npz
 from flexman_gym.common.snapshot import get_state, set_state
-from flexman_gym.evaluation.agent import AgentSpec, check_settings
+from flexman_gym.evaluation.agents import AgentSpec, check_settings
 
 # Names of attributes of Stable-Baselines3 models, wrappers and buffers that form the state of a training.
 COUNTERS = ("num_timesteps", "_n_updates", "_episode_num", "_current_progress_remaining")

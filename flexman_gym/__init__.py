@@ -11,16 +11,8 @@ if TYPE_CHECKING:
     from flexman_gym.envs.config.randomisation import Randomisation
     from flexman_gym.envs.limits import Limits
     from flexman_gym.envs.tasks import Slew
-    from flexman_gym.evaluation.episode_sensitivities import sensitivities
-    from flexman_gym.evaluation.live import live
-    from flexman_gym.evaluation.machine.machine import Machine
     from flexman_gym.evaluation.metrics import evaluate
-    from flexman_gym.evaluation.optimisation import tune
-    from flexman_gym.evaluation.rollout import rollout
-    from flexman_gym.fidelity.model_selection import Choice, choose_model
-    from flexman_gym.identification.fit import Fit, fit
-    from flexman_gym.identification.measurement import Filter, Measurement
-    from flexman_gym.identification.ringing import Ringing
+    from flexman_gym.evaluation.rollouts import rollout
     from flexman_gym.model.deformation import curvature, curves, strain
     from flexman_gym.model.dynamics import (
         acceleration,
@@ -54,6 +46,14 @@ if TYPE_CHECKING:
     from flexman_gym.simulation.scene_simulation import simulate, simulate_all
     from flexman_gym.simulation.simulator import Simulator
     from flexman_gym.simulation.trajectory import Trajectory
+    from flexman_gym.toolbox.controllers.tuning import tune
+    from flexman_gym.toolbox.deployment.machine.machine import Machine
+    from flexman_gym.toolbox.fidelity.model_selection import Choice, choose_model
+    from flexman_gym.toolbox.identification.fitting import Fit, fit
+    from flexman_gym.toolbox.identification.measurement import Filter, Measurement
+    from flexman_gym.toolbox.identification.ringing import Ringing
+    from flexman_gym.toolbox.sensitivity.episode_sensitivities import sensitivities
+    from flexman_gym.toolbox.view.live_session import live
 
 __all__ = [
     "METHODS",

@@ -9,7 +9,7 @@ import argparse
 from pathlib import Path
 
 from flexman_gym.envs.config.named_environments import DEFAULT_ID, NAMED_ENVIRONMENTS
-from flexman_gym.league.scenarios import USUAL_SCENARIOS
+from flexman_gym.toolbox.league.scenarios import USUAL_SCENARIOS
 from studies.environments.family import FAMILIES, family_page
 from studies.environments.gallery import gallery_page, tasks_page
 from studies.environments.measure import (

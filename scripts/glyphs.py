@@ -1,4 +1,4 @@
-"""Render the letters for video frames into `flexman_gym/draw/glyphs.npz`, from Matplotlib's DejaVu Sans (free font)."""
+"""Render the letters of video frames into `glyphs.npz` of `flexman_gym/toolbox/view`, from DejaVu Sans (free font)."""
 
 from pathlib import Path
 from typing import Any
@@ -7,7 +7,7 @@ import matplotlib
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from flexman_gym.draw.overlay import FONT_SIZES, GLYPHS
+from flexman_gym.toolbox.view.overlay import FONT_SIZES, GLYPHS
 
 LETTERS = "".join(map(chr, range(32, 127))) + "".join(
     map(chr, (0xB0, 0xB1, 0xB2, 0xB5, 0xB7, 0xD7, 0xE4, 0xF6, 0xFC, 0xDF, 0xE9, 0xF1, 0x3B5, 0x2026))

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from flexman_gym.draw.video import write_video
-from flexman_gym.evaluation.live import LiveSession, live
+from flexman_gym.toolbox.view.live_session import LiveSession, live
+from flexman_gym.toolbox.view.video import write_video
 from studies.files import folder
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))

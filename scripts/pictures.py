@@ -10,15 +10,15 @@ from pathlib import Path
 
 import numpy as np
 
-from flexman_gym.draw.comparison import side_by_side
-from flexman_gym.draw.frames import FramePainter
-from flexman_gym.draw.overlay import Caption
-from flexman_gym.draw.replay import replay_page
-from flexman_gym.draw.video import write_picture, write_video
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.evaluation.rollout import rollout
+from flexman_gym.evaluation.rollouts import rollout
 from flexman_gym.model.deformation import curves
 from flexman_gym.simulation.episode import Episode
+from flexman_gym.toolbox.view.comparison import side_by_side
+from flexman_gym.toolbox.view.frames import FramePainter
+from flexman_gym.toolbox.view.overlay import Caption
+from flexman_gym.toolbox.view.replay import replay_page
+from flexman_gym.toolbox.view.video import write_picture, write_video
 from studies.files import folder
 
 ENVIRONMENT, POLICY, SEED = "FlexRRR-v0", "shaping-flexrrr", 9001

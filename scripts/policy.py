@@ -6,9 +6,9 @@ from pathlib import Path
 
 from flexman_agents.settings import find_recipe
 from flexman_agents.training import train_or_resume
-from flexman_gym.evaluation.export import export_policy
 from flexman_gym.evaluation.policy_files import ARRAYS, FOLDER, METADATA, POLICIES, read_policy
-from flexman_gym.league.certificate import certify
+from flexman_gym.toolbox.interchange.policy_export import export_policy
+from flexman_gym.toolbox.league.certificate import certify
 
 
 def main() -> None:

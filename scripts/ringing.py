@@ -12,13 +12,13 @@ import numpy as np
 
 import flexman_gym as fm
 from flexman_gym.common.arrays import Array
-from flexman_gym.control.input_shaping.shapers import design_shaper, excited_modes
-from flexman_gym.control.lqr import CostWeights
 from flexman_gym.envs.tasks.rewards import NEAR
 from flexman_gym.model.deformation import link_shapes
 from flexman_gym.model.model import Model
 from flexman_gym.model.state_space import LinearModel
 from flexman_gym.simulation.parameters import varied_model
+from flexman_gym.toolbox.controllers.input_shaping.shapers import design_shaper, excited_modes
+from flexman_gym.toolbox.controllers.lqr import CostWeights
 from studies.files import folder
 
 FILE = "ringing_arm.js"

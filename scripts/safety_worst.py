@@ -8,9 +8,9 @@ import numpy as np
 from flexman_gym.common.arrays import Array, BoolArray
 from flexman_gym.common.computer import computer_text
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.evaluation.rollout import rollout
-from flexman_gym.league.worst_case import Box, ascend
+from flexman_gym.evaluation.rollouts import rollout
 from flexman_gym.simulation.batch import Batch
+from flexman_gym.toolbox.league.worst_case import Box, ascend
 from studies.files import folder, write_rows
 
 ENVIRONMENT, SCALE = "FlexRRR-v0/unknown-lab", 0.6  # factor on the limits "study"

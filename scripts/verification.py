@@ -5,8 +5,8 @@ import sys
 import warnings
 
 from flexman_gym.common.computer import computer_text
-from flexman_gym.verification.papers import paper_tables
-from flexman_gym.verification.table import VerificationRow, VerificationTable
+from flexman_gym.toolbox.verification.papers import paper_tables
+from flexman_gym.toolbox.verification.table import VerificationRow, VerificationTable
 from studies.files import folder, read_comments, read_rows, write_rows
 from studies.verification.motions import REFERENCE, rows
 from studies.verification.page import page

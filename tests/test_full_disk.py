@@ -13,10 +13,10 @@ import numpy as np
 import flexman_gym as fm
 from flexman_gym.__main__ import main
 from flexman_gym.common.plot_style import new_figure, save_figure
-from flexman_gym.control.normalisation import RunningMeanStd
+from flexman_gym.agent.normalisation import RunningMeanStd
 from flexman_gym.draw import write_picture, write_video
-from flexman_gym.league.page import write_page
-from flexman_gym.league.rows import LeagueRows
+from flexman_gym.toolbox.league.page import write_page
+from flexman_gym.toolbox.league.rows import LeagueRows
 from flexman_gym.scene.signals import SampledTorque
 
 os.chdir(sys.argv[1])

@@ -4,16 +4,16 @@ import os
 
 import pytest
 
+from flexman_gym.agent.normalisation import RunningMeanStd
 from flexman_gym.common.time_series import read_time_series
-from flexman_gym.control.normalisation import RunningMeanStd
-from flexman_gym.control.references.optimised_slews import SlewTable
-from flexman_gym.draw.learning_curves import read_progress
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.evaluation.agent import find_agent
-from flexman_gym.league.rows import LeagueRows
-from flexman_gym.league.scenarios import find_scenario
+from flexman_gym.evaluation.agents import find_agent
 from flexman_gym.scene.scene import Scene
 from flexman_gym.simulation.episode import Episode
+from flexman_gym.toolbox.controllers.references.optimised_slews import SlewTable
+from flexman_gym.toolbox.league.rows import LeagueRows
+from flexman_gym.toolbox.league.scenarios import find_scenario
+from flexman_gym.toolbox.view.learning_curves import read_progress
 
 from oracles import hostile
 

@@ -11,18 +11,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import flexman_gym as fm
+from flexman_gym.agent.pd import PD
 from flexman_gym.common import checks
-from flexman_gym.control.input_shaping.shaped_controller import InputShapedController
-from flexman_gym.control.input_shaping.shapers import design_shaper, excited_modes
-from flexman_gym.control.lqr import LQR, TrackingLQR
-from flexman_gym.control.pd import PD
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.vector_env import FlexManVectorEnv
-from flexman_gym.fidelity.model_selection import assembled_modes
 from flexman_gym.kernels.layout import LARGEST_STATE
 from flexman_gym.model.model import scene_model
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.integrator import MAX_STEPS
+from flexman_gym.toolbox.controllers.input_shaping.shaped_controller import InputShapedController
+from flexman_gym.toolbox.controllers.input_shaping.shapers import design_shaper, excited_modes
+from flexman_gym.toolbox.controllers.lqr import LQR, TrackingLQR
+from flexman_gym.toolbox.fidelity.model_selection import assembled_modes
 
 from oracles import odd_values
 from oracles.assertions import offenders

@@ -9,14 +9,14 @@ import pytest
 
 import flexman_gym as fm
 from flexman_gym.common.checks import sample_count
-from flexman_gym.control.input_shaping import shaped_motion
-from flexman_gym.control.input_shaping.motion import Motion
-from flexman_gym.control.input_shaping.shaped_motion import ShapedMotion
-from flexman_gym.control.input_shaping.shapers import design_shaper
-from flexman_gym.control.references import trajectories
-from flexman_gym.draw.comparison import MAX_FRAMES, side_by_side
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.evaluation.rollout import RolloutLoop
+from flexman_gym.evaluation.rollouts import RolloutLoop
+from flexman_gym.toolbox.controllers.input_shaping import shaped_motion
+from flexman_gym.toolbox.controllers.input_shaping.motion import Motion
+from flexman_gym.toolbox.controllers.input_shaping.shaped_motion import ShapedMotion
+from flexman_gym.toolbox.controllers.input_shaping.shapers import design_shaper
+from flexman_gym.toolbox.controllers.references import trajectories
+from flexman_gym.toolbox.view.comparison import MAX_FRAMES, side_by_side
 
 PATH = 3.0 * np.linspace(0.0, 1.0, 12) ** 2 - 2.0 * np.linspace(0.0, 1.0, 12) ** 3
 

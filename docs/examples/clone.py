@@ -12,7 +12,7 @@ from flexman_agents.sb3 import make_model
 from flexman_agents.settings import Settings
 from flexman_agents.training import policy_state
 from flexman_gym.common.run_folder import NEWEST, SETTINGS, write_npz
-from flexman_gym.control.normalisation import RunningMeanStd
+from flexman_gym.agent.normalisation import RunningMeanStd
 
 BATCH, RATE = 1024, 1e-3
 

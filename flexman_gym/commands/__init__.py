@@ -10,7 +10,7 @@ from flexman_gym.common.files import check_output
 
 if TYPE_CHECKING:
     from flexman_gym.envs.config.configuration import Configuration
-    from flexman_gym.evaluation.agent import AgentSpec
+    from flexman_gym.evaluation.agents import AgentSpec
 
 
 class CommandLine(NamedTuple):
@@ -35,8 +35,8 @@ def add_options(parser: argparse.ArgumentParser, *names: str, **changes: dict[st
     """
     from flexman_gym.envs.config.configuration import SET_HELP
     from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
-    from flexman_gym.evaluation.agent import AGENTS
-    from flexman_gym.evaluation.rollout import TEST_SEEDS
+    from flexman_gym.evaluation.agents import AGENTS
+    from flexman_gym.evaluation.rollouts import TEST_SEEDS
 
     ids = ", ".join(sorted(NAMED_ENVIRONMENTS))
     environment = f"environment: a file, an id with a condition such as FlexRRR-v0/delay, or {ids}"
@@ -110,7 +110,7 @@ def load_agent(name: str, trust: bool, environment: "Configuration | None" = Non
     Raises:
         FileNotFoundError, ValueError: for a name without an agent, with a one-line message.
     """
-    from flexman_gym.evaluation.agent import find_agent
+    from flexman_gym.evaluation.agents import find_agent
 
     if trust and name.endswith(".zip"):
         from flexman_agents.sb3 import load_sb3

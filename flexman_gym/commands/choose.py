@@ -15,8 +15,8 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
 
 def _run(options: argparse.Namespace) -> int:
     """Print the chosen method and model, the estimated error, and the omitted parts of the model; return 0."""
-    from flexman_gym.fidelity.model_selection import choose_model
     from flexman_gym.scene.scene import Scene
+    from flexman_gym.toolbox.fidelity.model_selection import choose_model
 
     choice = choose_model(Scene.load(options.scene), options.tolerance)
     step = "variable steps" if choice.step is None else f"steps of {1e3 * choice.step:.4g} ms"

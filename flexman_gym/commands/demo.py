@@ -16,11 +16,11 @@ from flexman_agents.settings import find_recipe
 from flexman_agents.training import train
 from flexman_gym import draw
 from flexman_gym.commands import CommandLine
-from flexman_gym.draw.trajectories import draw_episodes
-from flexman_gym.evaluation.agent import common_environment, find_agent
+from flexman_gym.evaluation.agents import common_environment, find_agent
 from flexman_gym.evaluation.metrics import metrics_table
-from flexman_gym.evaluation.rollout import TEST_SEEDS, rollout
+from flexman_gym.evaluation.rollouts import TEST_SEEDS, rollout
 from flexman_gym.model.model import scene_model
+from flexman_gym.toolbox.view.trajectories import draw_episodes
 
 OUTPUT_FOLDER = Path("out")
 METHOD, RTOL = "dop853", 1e-7  # integration method; its relative local error, 1

@@ -59,14 +59,14 @@ def _find_model(name: str, stiffening: bool = False) -> "Model":
 
 
 def _modes(options: argparse.Namespace, out: Path) -> list[Path]:
-    from flexman_gym.draw.frequency_diagrams import draw_mode_shapes
-    from flexman_gym.draw.video import write_picture
+    from flexman_gym.toolbox.view.frequency_diagrams import draw_mode_shapes
+    from flexman_gym.toolbox.view.video import write_picture
 
     return [write_picture(draw_mode_shapes(_find_model(options.subject[0]), options.angles, options.count), out)]
 
 
 def _map(options: argparse.Namespace, out: Path) -> list[Path]:
-    from flexman_gym.draw.frequency_diagrams import frequency_map
+    from flexman_gym.toolbox.view.frequency_diagrams import frequency_map
 
     return [frequency_map(_find_model(options.subject[0]), out, options.mode)]
 
@@ -74,8 +74,8 @@ def _map(options: argparse.Namespace, out: Path) -> list[Path]:
 def _campbell(options: argparse.Namespace, out: Path) -> list[Path]:
     import numpy as np
 
-    from flexman_gym.draw.frequency_diagrams import campbell_diagram
     from flexman_gym.model.dynamics import frequencies
+    from flexman_gym.toolbox.view.frequency_diagrams import campbell_diagram
 
     model = _find_model(options.subject[0], stiffening=True)
     if model.n_dof == model.n_joints:
@@ -87,10 +87,10 @@ def _campbell(options: argparse.Namespace, out: Path) -> list[Path]:
 def _bode(options: argparse.Namespace, out: Path) -> list[Path]:
     import numpy as np
 
-    from flexman_gym.control.margins import describe_stuck_motors, margins, sampled_loops
-    from flexman_gym.draw.frequency_diagrams import bode_diagram
     from flexman_gym.envs.config.configuration import Configuration
     from flexman_gym.envs.config.fidelity import resolve_fidelity
+    from flexman_gym.toolbox.controllers.margins import describe_stuck_motors, margins, sampled_loops
+    from flexman_gym.toolbox.view.frequency_diagrams import bode_diagram
 
     environment = Configuration.find(options.subject[0])
     model, period, gains = resolve_fidelity(environment).model, environment.control_period, environment.pd_gains
@@ -106,7 +106,7 @@ def _bode(options: argparse.Namespace, out: Path) -> list[Path]:
 
 
 def _learning(options: argparse.Namespace, out: Path) -> list[Path]:
-    from flexman_gym.draw.learning_curves import draw_learning_curves, read_progress
+    from flexman_gym.toolbox.view.learning_curves import draw_learning_curves, read_progress
 
     runs, label = {}, options.column
     for folder in map(Path, options.subject):
@@ -118,9 +118,9 @@ def _learning(options: argparse.Namespace, out: Path) -> list[Path]:
 
 
 def _league(options: argparse.Namespace, out: Path) -> list[Path]:
-    from flexman_gym.league.charts import draw_charts
-    from flexman_gym.league.rows import LeagueRows
-    from flexman_gym.league.standings import Standings
+    from flexman_gym.toolbox.league.charts import draw_charts
+    from flexman_gym.toolbox.league.rows import LeagueRows
+    from flexman_gym.toolbox.league.standings import Standings
 
     folder = Path(options.subject[0])
     results, out = LeagueRows.load(folder), options.out or folder
@@ -135,8 +135,8 @@ def _league(options: argparse.Namespace, out: Path) -> list[Path]:
 
 
 def _episode(options: argparse.Namespace, out: Path) -> list[Path]:
-    from flexman_gym.draw.trajectories import draw_episodes
     from flexman_gym.simulation.episode import Episode
+    from flexman_gym.toolbox.view.trajectories import draw_episodes
 
     loaded = [Episode.load(path) for path in options.subject]
     names = [each.name for each in loaded]
@@ -146,9 +146,9 @@ def _episode(options: argparse.Namespace, out: Path) -> list[Path]:
 
 
 def _side(options: argparse.Namespace, out: Path) -> list[Path]:
-    from flexman_gym.draw.comparison import side_by_side
-    from flexman_gym.draw.video import write_video
     from flexman_gym.simulation.episode import Episode
+    from flexman_gym.toolbox.view.comparison import side_by_side
+    from flexman_gym.toolbox.view.video import write_video
 
     size, rate, seconds, hold = GIF if out.suffix == ".gif" else VIDEO
     frames = side_by_side([Episode.load(path) for path in options.subject], size, rate, seconds, hold)

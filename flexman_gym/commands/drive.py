@@ -53,9 +53,9 @@ def _run(options: argparse.Namespace) -> int:
     """Drive the machine, write the log and print a summary; return 0, or 1 after a fault."""
     from flexman_gym.common.checks import value_error
     from flexman_gym.envs.config.configuration import Configuration
-    from flexman_gym.evaluation.machine.drive import drive
-    from flexman_gym.evaluation.machine.server import Disturbances
-    from flexman_gym.evaluation.machine.simulated import SimulatedMachine
+    from flexman_gym.toolbox.deployment.machine.drive import drive
+    from flexman_gym.toolbox.deployment.machine.server import Disturbances
+    from flexman_gym.toolbox.deployment.machine.simulated import SimulatedMachine
 
     out = options.out or _free_log()
     agent, kind = load_agent(options.agent, options.trust), options.machine.partition(":")[0]

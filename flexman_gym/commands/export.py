@@ -44,8 +44,8 @@ def _policy_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _policy(options: argparse.Namespace) -> str:
     from flexman_gym.common.checks import value_error
-    from flexman_gym.evaluation.export import export_policy
     from flexman_gym.evaluation.policy_files import FOLDER
+    from flexman_gym.toolbox.interchange.policy_export import export_policy
 
     folder = options.folder
     if len(folder.parts) <= 1:
@@ -64,7 +64,7 @@ def _onnx_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _onnx(options: argparse.Namespace) -> str:
-    from flexman_gym.evaluation.export import write_onnx
+    from flexman_gym.toolbox.interchange.policy_export import write_onnx
 
     difference = write_onnx(options.agent, options.path)
     return f"{options.path}: actions within {difference:.1g} of those of {options.agent}"
@@ -72,7 +72,7 @@ def _onnx(options: argparse.Namespace) -> str:
 
 def _mujoco_arguments(parser: argparse.ArgumentParser) -> None:
     from flexman_gym.envs.config.named_environments import DEFAULT_ID
-    from flexman_gym.model.mjcf import PIECES
+    from flexman_gym.toolbox.interchange.mjcf import PIECES
 
     parser.add_argument("arm", nargs="?", default=DEFAULT_ID, help="environment, named arm, or file of an "
                         "environment, an arm or a scene (default: %(default)s)")  # fmt: skip
@@ -91,7 +91,7 @@ def _mujoco_arguments(parser: argparse.ArgumentParser) -> None:
 def _mujoco(options: argparse.Namespace) -> str:
     from flexman_gym.common import files
     from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
-    from flexman_gym.model.mjcf import to_mjcf
+    from flexman_gym.toolbox.interchange.mjcf import to_mjcf
 
     name = options.arm
     arm = _find_arm(name)
@@ -111,7 +111,7 @@ def _c_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _c(options: argparse.Namespace) -> str:
-    from flexman_gym.evaluation.c_code import begin_agent, write_c
+    from flexman_gym.toolbox.deployment.c_code import begin_agent, write_c
 
     given = {"start": options.start, "goal_angles": options.goal}
     move = {name: angles for name, angles in given.items() if angles is not None}
@@ -129,7 +129,7 @@ def _matlab_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _matlab(options: argparse.Namespace) -> str:
-    from flexman_gym.evaluation.matlab import write_matlab
+    from flexman_gym.toolbox.deployment.matlab import write_matlab
 
     return f"{options.out}: {', '.join(write_matlab(options.name, options.out, options.env, options.goal))}"
 
@@ -143,7 +143,7 @@ def _urdf_arguments(parser: argparse.ArgumentParser) -> None:
 def _urdf(options: argparse.Namespace) -> str:
     from flexman_gym.common import files
     from flexman_gym.common.checks import one_of
-    from flexman_gym.model.urdf import to_urdf
+    from flexman_gym.toolbox.interchange.urdf_export import to_urdf
 
     one_of("the suffix of FILE", options.path.suffix, (".urdf",))
     text, sidecar = to_urdf(_find_arm(options.arm))

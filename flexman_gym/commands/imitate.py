@@ -13,7 +13,7 @@ TRAIN_ONLY_OPTIONS = ("algo", "engine", "runners", "device", "eval_every", "chec
 
 def _arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command-line arguments."""
-    from flexman_gym.control.base_controllers import BASES
+    from flexman_gym.agent.base_controllers import BASES
 
     names = ", ".join(BASES)
     parser.add_argument("teacher", type=yaml.safe_load, help=f"controller to imitate: {names}, or a mapping with kind")

@@ -14,7 +14,7 @@ from flexman_gym.commands import CommandLine, output_folder
 
 if TYPE_CHECKING:
     from flexman_gym.common.parallel import Workers
-    from flexman_gym.league.rows import LeagueRows
+    from flexman_gym.toolbox.league.rows import LeagueRows
 
 DEFAULT_FOLDER = Path("out/league")
 PHYSICAL_EPISODES = 10  # episodes per scenario with --physical
@@ -23,8 +23,8 @@ PHYSICAL_EPISODES = 10  # episodes per scenario with --physical
 def _arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command-line arguments."""
     from flexman_gym.common.parallel import Workers
-    from flexman_gym.evaluation.rollout import TEST_SEEDS
-    from flexman_gym.league.scenarios import SWEEPS
+    from flexman_gym.evaluation.rollouts import TEST_SEEDS
+    from flexman_gym.toolbox.league.scenarios import SWEEPS
 
     parser.add_argument(
         "--agents", nargs="+", metavar="AGENT",
@@ -65,11 +65,11 @@ def _run(options: argparse.Namespace) -> int:
     """Run the missing episodes of the league and write its page; return the exit status."""
     from flexman_gym.common.computer import computer_text
     from flexman_gym.common.parallel import Workers
-    from flexman_gym.evaluation.agent import AGENTS
-    from flexman_gym.league.details import league_details
-    from flexman_gym.league.page import PAGE, write_page
-    from flexman_gym.league.rows import LeagueRows, run_league
-    from flexman_gym.league.standings import Standings
+    from flexman_gym.evaluation.agents import AGENTS
+    from flexman_gym.toolbox.league.details import league_details
+    from flexman_gym.toolbox.league.page import PAGE, write_page
+    from flexman_gym.toolbox.league.rows import LeagueRows, run_league
+    from flexman_gym.toolbox.league.standings import Standings
 
     workers = Workers.of(options)
     for name, minimum in (("episodes", 1), ("seed", 0)):
@@ -99,7 +99,7 @@ def _run(options: argparse.Namespace) -> int:
 
 def _certify(name: str, workers: "Workers") -> int:
     """Write the certificate of a policy and print its rows; return 0, or 1 if the policy exceeds a limit."""
-    from flexman_gym.league.certificate import certify
+    from flexman_gym.toolbox.league.certificate import certify
 
     path = certify(name, jobs=workers, log=lambda line: print(line, flush=True))
     fails = json.loads(path.read_bytes())["fails"]
@@ -111,8 +111,8 @@ def _scenarios(options: argparse.Namespace, results: "LeagueRows") -> dict[int, 
     """Return number of episodes -> names of the scenarios that run this number of episodes."""
     from flexman_gym.common.checks import one_of
     from flexman_gym.envs.config.named_environments import DEFAULT_ID
-    from flexman_gym.evaluation.rollout import TEST_SEEDS
-    from flexman_gym.league.scenarios import PLANT_SCENARIOS, SWEEPS, USUAL_SCENARIOS
+    from flexman_gym.evaluation.rollouts import TEST_SEEDS
+    from flexman_gym.toolbox.league.scenarios import PLANT_SCENARIOS, SWEEPS, USUAL_SCENARIOS
 
     scenarios = options.scenarios or USUAL_SCENARIOS
     episodes = options.episodes or (PHYSICAL_EPISODES if options.physical else len(TEST_SEEDS))

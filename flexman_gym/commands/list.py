@@ -39,7 +39,7 @@ def _run(options: argparse.Namespace) -> int:
 
 def _entries(what: str) -> Iterable[tuple[str, str]]:
     """Yield each name of a kind with a short description."""
-    from flexman_gym.control.base_controllers import BASES
+    from flexman_gym.agent.base_controllers import BASES
     from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
     from flexman_gym.envs.registration import CONDITION_FOLDER, CONDITIONS
     from flexman_gym.envs.sensors import SENSOR_SETS, SENSORS

@@ -25,7 +25,7 @@ def _run(options: argparse.Namespace) -> int:
     from flexman_gym.commands import load_agent
     from flexman_gym.envs.config.configuration import Configuration
     from flexman_gym.envs.config.named_environments import DEFAULT_ID
-    from flexman_gym.evaluation.live import live
+    from flexman_gym.toolbox.view.live_session import live
 
     named = Configuration.find(options.environment) if options.environment else None
     names = options.agent or ["pd"]

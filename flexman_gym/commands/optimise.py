@@ -17,7 +17,7 @@ from flexman_gym.common.renamed import OPTIMISED
 def _arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command-line arguments."""
     from flexman_gym.common.parallel import Workers
-    from flexman_gym.evaluation.arm_design import DESIGN_METRICS, KEPT
+    from flexman_gym.toolbox.sensitivity.arm_design import DESIGN_METRICS, KEPT
 
     kinds = parser.add_subparsers(dest="kind", required=True, metavar="|".join(OPTIMISED))
     slews, gains, arm = (kinds.add_parser(name, help=text, description=text)
@@ -49,9 +49,9 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
 
 def _run_slews(options: argparse.Namespace) -> int:
     """Print a line for each episode and write the table after each episode; return 0."""
-    from flexman_gym.control.references.optimised_slews import SlewTable
     from flexman_gym.envs.config.configuration import Configuration
-    from flexman_gym.evaluation.optimisation import empty_slew_table, optimise_slews
+    from flexman_gym.toolbox.controllers.references.optimised_slews import SlewTable
+    from flexman_gym.toolbox.controllers.tuning import empty_slew_table, optimise_slews
 
     environment, (first, count) = Configuration.find(options.environment), options.seeds
     if first < 0 or count < 1:
@@ -78,9 +78,9 @@ def _run_slews(options: argparse.Namespace) -> int:
 def _run_gains(options: argparse.Namespace) -> int:
     """Print the gains and their margins; return the exit status."""
     from flexman_gym.common.parallel import Workers
-    from flexman_gym.control.margins import describe_stuck_motors
     from flexman_gym.envs.config.configuration import Configuration
-    from flexman_gym.evaluation.optimisation import tune
+    from flexman_gym.toolbox.controllers.margins import describe_stuck_motors
+    from flexman_gym.toolbox.controllers.tuning import tune
 
     try:
         environment = Configuration.find(options.environment)
@@ -115,7 +115,7 @@ def _run_arm(options: argparse.Namespace) -> int:
     """Print the metric, masses and thickness before and after; return the exit status."""
     from flexman_gym.common.files import check_suffix
     from flexman_gym.envs.config.configuration import Configuration
-    from flexman_gym.evaluation.arm_design import DESIGN_METRICS, optimise_arm
+    from flexman_gym.toolbox.sensitivity.arm_design import DESIGN_METRICS, optimise_arm
 
     if options.out:
         check_suffix(options.out)

@@ -33,7 +33,7 @@ def _run(options: argparse.Namespace) -> int:
     from flexman_gym.common.checks import whole_number
     from flexman_gym.common.parallel import Workers
     from flexman_gym.envs.config.configuration import Configuration
-    from flexman_gym.evaluation.dataset import record_dataset
+    from flexman_gym.toolbox.interchange.dataset import record_dataset
 
     environment = Configuration.find(options.env).changed(options.set)
     first = whole_number("--seed", options.seed, 0, 10**9)

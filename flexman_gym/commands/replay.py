@@ -19,8 +19,8 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
 def _run(options: argparse.Namespace) -> int:
     """Write the page; return 0."""
     from flexman_gym.common.files import write_file
-    from flexman_gym.draw.replay import replay_page
     from flexman_gym.simulation.episode import Episode
+    from flexman_gym.toolbox.view.replay import replay_page
 
     text = replay_page([Episode.load(path) for path in options.episode], options.title)
     write_file(options.out, text)

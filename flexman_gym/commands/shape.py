@@ -21,11 +21,11 @@ from flexman_gym.common.checks import finite, non_negative, value_error, whole_n
 from flexman_gym.common.files import write_file
 
 if TYPE_CHECKING:
-    from flexman_gym.control.input_shaping.motion import Motion
-    from flexman_gym.control.input_shaping.shaped_motion import ShapedMotion
-    from flexman_gym.control.input_shaping.shapers import OperatingPoint, ShaperEvaluation
-    from flexman_gym.identification.ringing import Ringing
     from flexman_gym.model.model import Model
+    from flexman_gym.toolbox.controllers.input_shaping.motion import Motion
+    from flexman_gym.toolbox.controllers.input_shaping.shaped_motion import ShapedMotion
+    from flexman_gym.toolbox.controllers.input_shaping.shapers import OperatingPoint, ShaperEvaluation
+    from flexman_gym.toolbox.identification.ringing import Ringing
 
 DEFAULT_POSTURES, MAX_POSTURES = 8, 10_000  # number of postures without --postures; largest number
 MAX_ANGLE = 1.2  # rad; largest joint angle of random postures, for an arm without a task
@@ -38,9 +38,9 @@ MOTOR_STATES = ("held", "free")
 
 def _arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command-line arguments."""
-    from flexman_gym.control.input_shaping.shaped_motion import AUTO, LIMITS, SCALING
-    from flexman_gym.control.input_shaping.shapers import SHAPERS
     from flexman_gym.scene.serialization import ARMS
+    from flexman_gym.toolbox.controllers.input_shaping.shaped_motion import AUTO, LIMITS, SCALING
+    from flexman_gym.toolbox.controllers.input_shaping.shapers import SHAPERS
 
     names = f"environment as in flexman evaluate, arm ({', '.join(ARMS)}), or file of an arm or a scene"
     parser.add_argument("subject", help=f"CSV file of the ringing, {names}")
@@ -84,7 +84,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
 
 def _run(options: argparse.Namespace) -> int:
     """Shape a trajectory and write it, or print the modes of an arm or a record; return 0."""
-    from flexman_gym.control.input_shaping.shaped_motion import ShapedMotion
+    from flexman_gym.toolbox.controllers.input_shaping.shaped_motion import ShapedMotion
 
     ringing, motion = _read(options)
     if motion is None:
@@ -114,8 +114,8 @@ def _read(options: argparse.Namespace) -> "tuple[Ringing | None, Motion | None]"
     """
     from flexman_gym.common.tables import is_table
     from flexman_gym.common.time_series import TimeSeries, listed
-    from flexman_gym.control.input_shaping.motion import Motion
-    from flexman_gym.identification.ringing import Ringing
+    from flexman_gym.toolbox.controllers.input_shaping.motion import Motion
+    from flexman_gym.toolbox.identification.ringing import Ringing
 
     files = [path for path in (options.subject, options.trajectory) if path and is_table(path)]
     tables = {path: TimeSeries.read(path) for path in files}
@@ -152,10 +152,10 @@ def _arm_ringing(options: argparse.Namespace, motion: "Motion") -> "Ringing":
 
     A second mode belongs to them if it moves the tip by more than the allowed residual of the first one.
     """
-    from flexman_gym.control.input_shaping.shapers import excited_modes
-    from flexman_gym.identification.ring_down import MAX_DAMPING
-    from flexman_gym.identification.ringing import DAMPING_DEVIATION, FREQUENCY_DEVIATION, Ringing
     from flexman_gym.simulation.parameters import varied_model
+    from flexman_gym.toolbox.controllers.input_shaping.shapers import excited_modes
+    from flexman_gym.toolbox.identification.ring_down import MAX_DAMPING
+    from flexman_gym.toolbox.identification.ringing import DAMPING_DEVIATION, FREQUENCY_DEVIATION, Ringing
 
     model, posture = _find_model(options.subject, 1)[0], motion.positions[-1]
     if len(posture) != model.n_joints:
@@ -218,7 +218,7 @@ def _draw(found: "ShapedMotion", ringing: "Ringing", path: Path) -> None:
 
 def _compare(options: argparse.Namespace) -> int:
     """Print modes of an arm, shapers and a recommendation; return 0."""
-    from flexman_gym.control.input_shaping.shapers import OperatingPoint, ShaperEvaluation
+    from flexman_gym.toolbox.controllers.input_shaping.shapers import OperatingPoint, ShaperEvaluation
 
     count = whole_number("--postures", options.postures, 1, MAX_POSTURES)
     model, postures, payloads = _find_model(options.subject, count)
@@ -241,9 +241,9 @@ def _find_model(name: str, count: int) -> "tuple[Model, np.ndarray, list[float]]
     """Return the model of an arm, postures (count, n) rad and payloads (kg)."""
     from flexman_gym.common import files
     from flexman_gym.envs.config.configuration import Configuration
-    from flexman_gym.fidelity.model_selection import assembled_modes
     from flexman_gym.model.model import build_model
     from flexman_gym.scene.serialization import ARMS, SUFFIXES, find_arm
+    from flexman_gym.toolbox.fidelity.model_selection import assembled_modes
 
     data = files.read_data(Path(name)) if name.endswith(SUFFIXES) else None
     if name in ARMS or (isinstance(data, dict) and ("arm" in data or "links" in data) and "id" not in data):
@@ -289,7 +289,7 @@ def _mode_lines(cases: "Sequence[OperatingPoint]") -> list[str]:
 
 def _shaper_lines(evaluations: "Sequence[ShaperEvaluation]") -> list[str]:
     """Return a line for each shaper: delay, tolerated frequency error, median and largest residual vibration."""
-    from flexman_gym.control.input_shaping.shapers import TOLERATED_RESIDUAL
+    from flexman_gym.toolbox.controllers.input_shaping.shapers import TOLERATED_RESIDUAL
 
     count = evaluations[0].residuals.shape[1]
     heads = "".join(f"{f'mode {number + 1}, %':>16}" for number in range(count))
@@ -320,7 +320,7 @@ def _recommendation(
     best: "ShaperEvaluation | None",
 ) -> str:
     """Return the recommendation with its reason."""
-    from flexman_gym.control.input_shaping.shapers import TIP_VIBRATION_LIMIT
+    from flexman_gym.toolbox.controllers.input_shaping.shapers import TIP_VIBRATION_LIMIT
 
     if best is not None:
         return (

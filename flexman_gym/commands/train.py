@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from flexman_agents.settings import Settings
     from flexman_gym.common.parallel import Workers
     from flexman_gym.envs.config.configuration import Configuration
-    from flexman_gym.evaluation.rollout import EpisodeRecord
+    from flexman_gym.evaluation.rollouts import EpisodeRecord
 
 AGENT_SETTINGS = ("base", "action_repeat", "sensors")  # settings of the agent that a recipe depends on
 MAX_RUNS = 1000  # largest number of runs of one command
@@ -148,7 +148,7 @@ def _train_runs(options: argparse.Namespace) -> list[Path]:
 def _print_table(folders: Sequence[str], workers: "Workers") -> None:
     """Print the metrics of the runs in the test episodes, and the metrics over all runs."""
     from flexman_gym.common.parallel import parallel_map
-    from flexman_gym.evaluation.agent import common_environment, find_agent
+    from flexman_gym.evaluation.agents import common_environment, find_agent
     from flexman_gym.evaluation.metrics import metrics_table
 
     environment = common_environment([find_agent(folder) for folder in folders])
@@ -162,7 +162,7 @@ def _test_records(cell: "tuple[str, Configuration]") -> "Sequence[EpisodeRecord]
     Args:
         cell: folder of the run, and environment of the episodes.
     """
-    from flexman_gym.evaluation.rollout import TEST_SEEDS, rollout
+    from flexman_gym.evaluation.rollouts import TEST_SEEDS, rollout
 
     return rollout(*cell, TEST_SEEDS).records
 

@@ -29,14 +29,14 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
 def _run(options: argparse.Namespace) -> int:
     """Print the table; return 0, or 1 if a row fails."""
     from flexman_gym.common.files import write_file
-    from flexman_gym.verification import papers
-    from flexman_gym.verification.cases import CLOSED_FORMS
-    from flexman_gym.verification.table import PASS, VerificationTable
+    from flexman_gym.toolbox.verification import papers
+    from flexman_gym.toolbox.verification.cases import CLOSED_FORMS
+    from flexman_gym.toolbox.verification.table import PASS, VerificationTable
 
     if options.data is not None:
         if options.table != "papers":
             options.parser.error("--data belongs to: flexman verify papers --data FILE")
-        from flexman_gym.verification.response import fit_response, read_response
+        from flexman_gym.toolbox.verification.response import fit_response, read_response
 
         try:
             print(fit_response(*read_response(options.data)))

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from flexman_gym.commands import CommandLine, add_options, load_agent
 
 if TYPE_CHECKING:
-    from flexman_gym.evaluation.diagnosis import Diagnosis
+    from flexman_gym.toolbox.diagnosis.diagnosis import Diagnosis
 
 DEFAULT_EPISODES = 20
 
@@ -30,9 +30,9 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
 def _run(options: argparse.Namespace) -> int:
     """Print the share of each cause and the remedy for the largest one, for each agent and log; return 0."""
     from flexman_gym.envs.config.configuration import Configuration
-    from flexman_gym.evaluation.agent import common_environment
-    from flexman_gym.evaluation.diagnosis import diagnose, diagnose_log
+    from flexman_gym.evaluation.agents import common_environment
     from flexman_gym.simulation.episode import Episode
+    from flexman_gym.toolbox.diagnosis.diagnosis import diagnose, diagnose_log
 
     if options.episodes < 1:
         options.parser.error(f"--episodes: {options.episodes} is not allowed; give a whole number > 0")
@@ -57,7 +57,7 @@ def _diagnosis_lines(title: str, results: "Sequence[Diagnosis]") -> list[str]:
     """Return the report on the diagnoses of some episodes, as lines."""
     import numpy as np
 
-    from flexman_gym.evaluation.diagnosis import REMEDIES
+    from flexman_gym.toolbox.diagnosis.diagnosis import REMEDIES
 
     failures = Counter(each.failure for each in results if each.failure)
     rms = 1e3 * np.array([each.rms for each in results if not each.failure] or [np.nan])
@@ -81,7 +81,7 @@ def _dominant_tone(results: "Sequence[Diagnosis]", cause: str) -> str:
     """Return the mode with the largest share of a cause and the median frequency of its tones; "" without tones."""
     import numpy as np
 
-    from flexman_gym.evaluation.diagnosis import OFFSET, TRANSIENT
+    from flexman_gym.toolbox.diagnosis.diagnosis import OFFSET, TRANSIENT
 
     tones = [tone for each in results for tone in each.tones if tone[2] == cause]
     weights: Counter[str] = Counter()

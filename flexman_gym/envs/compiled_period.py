@@ -4,9 +4,9 @@ from typing import Any
 
 import numpy as np
 
+from flexman_gym.agent.action_modes import TorqueMode
+from flexman_gym.agent.agent import Agent
 from flexman_gym.common.arrays import Array, BoolArray, IntArray
-from flexman_gym.control.actions import TorqueMode
-from flexman_gym.control.agent import Agent
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.sensors import FullState, SensorArray
 from flexman_gym.envs.sensors.ideal import NEAR

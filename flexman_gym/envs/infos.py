@@ -13,7 +13,7 @@ Infos = dict[str, Any]
 INFO_MODES = ("always", "at end", "flat", "none")  # values of the argument infos
 TEXTS: dict[str, Callable[[str], int]] = {
     "status": layout.STATUS.index,
-    "safety_status": lambda text: int(load_entry("flexman_gym.control.safety:STATUS").index(text)),
+    "safety_status": lambda text: int(load_entry("flexman_gym.toolbox.safety.safety_filter:STATUS").index(text)),
     "failure": bool,
 }
 """Key of a text -> function that returns its number."""

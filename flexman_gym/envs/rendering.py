@@ -7,7 +7,7 @@ from flexman_gym.common.registry import load_entry
 
 if TYPE_CHECKING:
     from flexman_gym.envs.episodes import Episodes
-    from flexman_gym.envs.renderer import Renderer
+    from flexman_gym.toolbox.view.renderer import Renderer
 
 RENDER_KEYWORDS = ("render_mode", "render_size", "render_camera", "render_gain", "render_overlays")
 RENDER_MODES = ("human", "rgb_array")
@@ -28,5 +28,5 @@ def make_renderer(
     if mode is None:
         return None
     one_of("render_mode", mode, modes)
-    renderer: Renderer = load_entry("flexman_gym.envs.renderer:Renderer")(episodes, title, look)
+    renderer: Renderer = load_entry("flexman_gym.toolbox.view.renderer:Renderer")(episodes, title, look)
     return renderer

@@ -5,16 +5,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from flexman_gym.agent.base_controllers import BASES
 from flexman_gym.common.checks import short_path, value_error
 from flexman_gym.common.renamed import RUN_SETTINGS, rename_keys
 from flexman_gym.common.run_folder import SETTINGS, read_settings
 from flexman_gym.common.time_series import read_csv_rows
-from flexman_gym.control.base_controllers import BASES
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.sensors import plain_sensors
-from flexman_gym.evaluation.agent import BASELINES, SIMPLE_AGENTS, training_folder
+from flexman_gym.evaluation.agents import BASELINES, SIMPLE_AGENTS, training_folder
 from flexman_gym.evaluation.policy_files import policy_folder, read_policy
-from flexman_gym.evaluation.rollout import SELECTION_SEEDS, training_seed
+from flexman_gym.evaluation.rollouts import SELECTION_SEEDS, training_seed
 
 # information not available on hardware; "its episodes": start, goal and parameters of the episodes before they begin
 ORACLE_INFORMATION = ("true state", "true parameters", "its episodes")

@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
+from flexman_gym.agent.controller import Controller
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import one_of
 from flexman_gym.common.renamed import ARGUMENTS, deprecated_arguments
-from flexman_gym.control.controller import Controller
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.evaluation.agent import AgentSpec
-from flexman_gym.evaluation.rollout import EpisodeRecord, rollout
+from flexman_gym.evaluation.agents import AgentSpec
+from flexman_gym.evaluation.rollouts import EpisodeRecord, rollout
 from flexman_gym.metrics import (
     effort,
     final_error,

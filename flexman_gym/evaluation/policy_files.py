@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
+from flexman_gym.agent.network import Network, policy_parameters
 from flexman_gym.common.checks import one_of, short_path, short_repr, value_error
 from flexman_gym.common.files import existing_file, reading, regular_file, write_atomically
 from flexman_gym.common.renamed import CERTIFICATE_KEYS, complete_environment, current_methods
-from flexman_gym.control.network import Network, policy_parameters
 
 FOLDER = Path(__file__).parents[1] / "policies"
 METADATA, ARRAYS, CERTIFICATE = "policy.json", "policy.safetensors", "certificate.json"

@@ -112,7 +112,7 @@ class Arm:
             >>> arm.n_joints
             2
         """
-        arm: Arm = load_entry("flexman_gym.scene.urdf:read_urdf")(path, sidecar, tip, held, inertias)
+        arm: Arm = load_entry("flexman_gym.toolbox.interchange.urdf:read_urdf")(path, sidecar, tip, held, inertias)
         return arm
 
     def __post_init__(self) -> None:
@@ -203,7 +203,7 @@ class Arm:
 
     def _repr_png_(self) -> bytes:
         """Return a picture for a notebook."""
-        picture: bytes = load_entry("flexman_gym.draw.notebook:arm_picture")(self)
+        picture: bytes = load_entry("flexman_gym.toolbox.view.notebook:arm_picture")(self)
         return picture
 
 

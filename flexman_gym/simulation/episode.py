@@ -234,7 +234,7 @@ class Episode:
 
     def _repr_png_(self) -> bytes:
         """Return a picture for a notebook."""
-        picture: bytes = load_entry("flexman_gym.draw.notebook:episode_picture")(self)
+        picture: bytes = load_entry("flexman_gym.toolbox.view.notebook:episode_picture")(self)
         return picture
 
 

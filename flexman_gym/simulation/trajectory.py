@@ -266,5 +266,5 @@ class Trajectory:
 
     def _repr_png_(self) -> bytes | None:
         """Return a picture for a notebook."""
-        picture: bytes | None = load_entry("flexman_gym.draw.notebook:trajectory_picture")(self)
+        picture: bytes | None = load_entry("flexman_gym.toolbox.view.notebook:trajectory_picture")(self)
         return picture

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from flexman_gym.common.computer import computer_info
-from flexman_gym.evaluation.c_code import begin_agent, write_c
+from flexman_gym.toolbox.deployment.c_code import begin_agent, write_c
 
 AGENTS = ("pd", "pd-shaped", "lqr", "lqr-tracking", "lqg", "ppo-flexrrr")
 ENVIRONMENT = "FlexRRR-v0"  # three joints

@@ -7,8 +7,8 @@ import numpy as np
 
 from flexman_gym.envs.config.named_environments import DEFAULT_ID, NAMED_ENVIRONMENTS
 from flexman_gym.evaluation.metrics import METRICS
-from flexman_gym.league.rows import LeagueRows
-from flexman_gym.league.standings import Standings
+from flexman_gym.toolbox.league.rows import LeagueRows
+from flexman_gym.toolbox.league.standings import Standings
 from studies.environments.measure import BASELINES, LONG_NAME, Baseline
 from studies.files import read_rows
 

@@ -17,9 +17,9 @@ from flexman_agents.training import resume, train, train_or_resume
 from flexman_gym.__main__ import main
 from flexman_gym.common.run_folder import NEWEST, read_npz
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.evaluation.agent import find_agent
-from flexman_gym.evaluation.export import export_policy
-from flexman_gym.evaluation.rollout import rollout, training_seed
+from flexman_gym.evaluation.agents import find_agent
+from flexman_gym.evaluation.rollouts import rollout, training_seed
+from flexman_gym.toolbox.interchange.policy_export import export_policy
 
 from oracles.assertions import refusal
 from oracles.runs import bits

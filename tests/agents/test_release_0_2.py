@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 import flexman_gym as fm
-from flexman_gym.evaluation.agent import find_agent
-from flexman_gym.evaluation.rollout import SELECTION_SEEDS
+from flexman_gym.evaluation.agents import find_agent
+from flexman_gym.evaluation.rollouts import SELECTION_SEEDS
 
 FILES = Path(__file__).parent / "release_0_2"
 

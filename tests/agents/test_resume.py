@@ -17,7 +17,7 @@ from flexman_agents.callbacks import STEPS_COLUMN, Interrupted, open_logger
 from flexman_agents.training import resume, train
 from flexman_agents.vector import SB3VecEnv
 from flexman_gym.common.run_folder import BEST, NEWEST, SETTINGS, read_npz, write_npz
-from flexman_gym.evaluation.agent import find_agent
+from flexman_gym.evaluation.agents import find_agent
 from studies.faults import same
 
 from oracles.assertions import refusal

@@ -12,8 +12,8 @@ from flexman_agents.sb3 import (
 )
 from flexman_gym.__main__ import main
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.evaluation.agent import AgentSpec, find_agent, split_interface
-from flexman_gym.evaluation.rollout import rollout
+from flexman_gym.evaluation.agents import AgentSpec, find_agent, split_interface
+from flexman_gym.evaluation.rollouts import rollout
 
 from oracles.assertions import refusal
 from oracles.runs import RUNS

@@ -21,7 +21,7 @@ from flexman_agents.settings import (
 from flexman_gym.common import files
 from flexman_gym.common.renamed import RUN_SETTINGS
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
-from flexman_gym.evaluation.rollout import SELECTION_SEEDS, TEST_SEEDS, TRAINING_SEEDS_STRIDE, training_seed
+from flexman_gym.evaluation.rollouts import SELECTION_SEEDS, TEST_SEEDS, TRAINING_SEEDS_STRIDE, training_seed
 
 from oracles.assertions import refusal
 

@@ -16,11 +16,11 @@ from flexman_agents.sb3 import make_model
 from flexman_agents.settings import Settings
 from flexman_agents.training import resume, train
 from flexman_gym.common.run_folder import BEST, NEWEST, SETTINGS, read_npz, write_npz
-from flexman_gym.evaluation.agent import find_agent
 from flexman_gym.evaluation.agent_info import CPU_COLUMN, training_seconds
+from flexman_gym.evaluation.agents import find_agent
 from flexman_gym.evaluation.metrics import METRICS
-from flexman_gym.evaluation.rollout import SELECTION_SEEDS, rollout, training_seed
-from flexman_gym.league.rows import run_league
+from flexman_gym.evaluation.rollouts import SELECTION_SEEDS, rollout, training_seed
+from flexman_gym.toolbox.league.rows import run_league
 
 from oracles.assertions import refusal
 from oracles.runs import RUNS

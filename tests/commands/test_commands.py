@@ -12,19 +12,19 @@ import pytest
 
 import flexman_gym as fm
 from flexman_gym.__main__ import COMMAND_GROUPS, main
+from flexman_gym.agent.base_controllers import BASES
 from flexman_gym.commands.list import KINDS
 from flexman_gym.common import renamed
 from flexman_gym.common.renamed import OPTIMISED
-from flexman_gym.control.base_controllers import BASES
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.envs.registration import CONDITIONS
 from flexman_gym.envs.sensors import SENSOR_NAMES
-from flexman_gym.evaluation.diagnosis import REMEDIES, RINGING, Diagnosis, diagnose
-from flexman_gym.league import certificate, page, rows
-from flexman_gym.league.rows import EpisodeBlock, LeagueRows
-from flexman_gym.league.scenarios import PLANT_SCENARIOS, USUAL_SCENARIOS
-from flexman_gym.league.standings import Standings
+from flexman_gym.toolbox.diagnosis.diagnosis import REMEDIES, RINGING, Diagnosis, diagnose
+from flexman_gym.toolbox.league import certificate, page, rows
+from flexman_gym.toolbox.league.rows import EpisodeBlock, LeagueRows
+from flexman_gym.toolbox.league.scenarios import PLANT_SCENARIOS, USUAL_SCENARIOS
+from flexman_gym.toolbox.league.standings import Standings
 
 from oracles.files import REFERENCE, ROOT
 
@@ -373,6 +373,6 @@ def test_one_quiet_episode_does_not_hide_one_that_rings(monkeypatch, capsys):
     shares = dict.fromkeys(REMEDIES, 0.0) | {RINGING: 1.0}
     still, ringing = (Diagnosis(rms, quiet, shares, ()) for rms, quiet in ((1e-6, True), (0.05, False)))
     for results, remedy in (([still, ringing], REMEDIES[RINGING]), ([still, still], "none needed, the error is small")):
-        monkeypatch.setattr("flexman_gym.evaluation.diagnosis.diagnose", lambda *_, results=results: results)
+        monkeypatch.setattr("flexman_gym.toolbox.diagnosis.diagnosis.diagnose", lambda *_, results=results: results)
         assert main(["why", "pd", *GIVEN]) == 0
         assert capsys.readouterr().out.splitlines()[-1] == f"  remedy: {remedy}"

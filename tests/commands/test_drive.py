@@ -5,8 +5,8 @@ import errno
 import pytest
 
 from flexman_gym.__main__ import main
-from flexman_gym.evaluation.machine import simulated
 from flexman_gym.simulation.episode import Episode
+from flexman_gym.toolbox.deployment.machine import simulated
 
 from oracles.machines import FakeSimulatedMachine
 

@@ -10,7 +10,7 @@ pytest.importorskip("stable_baselines3")
 from flexman_gym.__main__ import main
 from flexman_gym.common.run_folder import SETTINGS
 from flexman_gym.evaluation import policy_files
-from flexman_gym.evaluation.agent import find_agent
+from flexman_gym.evaluation.agents import find_agent
 from flexman_gym.evaluation.metrics import evaluate
 from flexman_gym.evaluation.policy_files import read_policy
 

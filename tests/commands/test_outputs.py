@@ -7,7 +7,7 @@ import pytest
 
 from flexman_gym.__main__ import main
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.evaluation.optimisation import empty_slew_table
+from flexman_gym.toolbox.controllers.tuning import empty_slew_table
 
 NOWHERE = "/proc/file.yaml"  # no file can be created there, by root neither
 
@@ -38,7 +38,8 @@ def test_a_default_output_is_checked_too(words, tmp_path, monkeypatch, capsys):
 
 
 def test_the_suffix_of_a_new_environment_is_checked_before_the_arm_is_optimised(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("flexman_gym.evaluation.arm_design.optimise_arm", lambda *_, **__: pytest.fail("it began"))
+    search = "flexman_gym.toolbox.sensitivity.arm_design.optimise_arm"
+    monkeypatch.setattr(search, lambda *_, **__: pytest.fail("it began"))
     assert main(["optimise", "arm", "FlexOne-v0", "--out", str(tmp_path / "new.txt")]) == 2
     assert "'.txt' is not allowed; give one of .json, .yaml, .yml" in capsys.readouterr().err
 

@@ -12,10 +12,10 @@ from flexman_gym.__main__ import main as flexman
 from flexman_gym.common import files
 from flexman_gym.common.renamed import OPTIONS
 from flexman_gym.common.run_folder import SETTINGS
-from flexman_gym.control.margins import has_margins
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
-from flexman_gym.evaluation import optimisation
+from flexman_gym.toolbox.controllers import tuning as optimisation
+from flexman_gym.toolbox.controllers.margins import has_margins
 
 SMALL = ["--steps", "256", "--envs", "2", "--quiet"]
 

@@ -7,13 +7,13 @@ import pytest
 
 import flexman_gym as fm
 from flexman_gym.__main__ import main
+from flexman_gym.agent.base_controllers import BASES
 from flexman_gym.common.checks import KeywordError, nearest, one_of, suggestion, unknown_name
-from flexman_gym.control.base_controllers import BASES
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.registration import CONDITIONS
-from flexman_gym.evaluation.agent import AGENTS, find_agent
+from flexman_gym.evaluation.agents import AGENTS, find_agent
 from flexman_gym.evaluation.metrics import METRICS
 from flexman_gym.scene.serialization import ARMS
 from flexman_gym.simulation.methods import METHODS

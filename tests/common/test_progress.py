@@ -8,8 +8,8 @@ import flexman_gym as fm
 from flexman_gym.common import progress
 from flexman_gym.common.progress import Progress
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.league import certificate
-from flexman_gym.league.rows import run_league
+from flexman_gym.toolbox.league import certificate
+from flexman_gym.toolbox.league.rows import run_league
 
 from oracles.shipped import write_still
 

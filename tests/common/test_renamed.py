@@ -8,7 +8,7 @@ import pytest
 import flexman_gym as fm
 from flexman_gym.common.renamed import METHODS, MODULES, NAMES, current_methods
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.league.scenarios import find_scenario
+from flexman_gym.toolbox.league.scenarios import find_scenario
 
 OLD = [(old, present) for old, present in MODULES.items() if old.startswith("flexman_gym")]
 

@@ -16,7 +16,7 @@ from flexman_agents.sb3 import make_model
 from flexman_agents.settings import Settings
 from flexman_agents.training import resume, train
 from flexman_gym.common.run_folder import LOCK, NEWEST, SETTINGS, lock_folder, read_npz, write_npz
-from flexman_gym.evaluation.agent import find_agent
+from flexman_gym.evaluation.agents import find_agent
 
 from oracles.assertions import refusal
 from oracles.runs import RUNS

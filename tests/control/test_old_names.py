@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from flexman_gym.agent.action_modes import TorqueMode, make_action_mode
 from flexman_gym.common.snapshot import get_state, set_state
-from flexman_gym.control.actions import TorqueMode, make_action_mode
-from flexman_gym.control.observers.observer import Estimate
-from flexman_gym.control.tracking import OutputFeedback, Tracking
+from flexman_gym.toolbox.controllers.observers.observer import Estimate
+from flexman_gym.toolbox.controllers.tracking import OutputFeedback, Tracking
 
 from oracles.observed_arms import small_plant
 

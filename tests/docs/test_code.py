@@ -22,7 +22,7 @@ import flexman_gym as fm
 from flexman_gym.__main__ import COMMAND_GROUPS, main
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.env import FlexManEnv
-from flexman_gym.evaluation.machine import simulated
+from flexman_gym.toolbox.deployment.machine import simulated
 
 from oracles.files import ROOT
 from oracles.machines import FakeSimulatedMachine
@@ -34,7 +34,7 @@ PAGES = [page for page, text in TEXTS.items() if "python" in [language for langu
 # What a command or a training of a page takes here, in place of what it says.
 LESS = {"--steps": "512", "--episodes": "2", "--eval-every": "256", "--seeds": "2"}
 LESS_EPISODES = (("flexman_agents.callbacks", "SELECTION_SEEDS", range(5000, 5002)),
-                 ("flexman_gym.evaluation.rollout", "TEST_SEEDS", range(9000, 9002)))  # fmt: skip
+                 ("flexman_gym.evaluation.rollouts", "TEST_SEEDS", range(9000, 9002)))  # fmt: skip
 LESS_IN_PYTHON = (
     (r"STEPS = [\d_]+", "STEPS = 256"), (r"circles\(\d+\)", "circles(4)"), (r'-v0", 256', '-v0", 4'),
     (r"horizon=2.0", "horizon=0.4"), (r"n_eval_episodes=10", "n_eval_episodes=2"),

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.evaluation.agent import find_agent
-from flexman_gym.evaluation.rollout import rollout
+from flexman_gym.evaluation.agents import find_agent
+from flexman_gym.evaluation.rollouts import rollout
 
 from oracles.files import ROOT
 
@@ -49,7 +49,7 @@ def test_torchrl_collects_what_the_vector_environment_says(monkeypatch):
 def test_a_clone_acts_nearly_as_whom_it_was_cloned_from_and_is_an_entrant(tmp_path, monkeypatch):
     pytest.importorskip("stable_baselines3")
     pytest.importorskip("minari", reason="Minari is not installed")
-    from flexman_gym.evaluation.dataset import record_dataset
+    from flexman_gym.toolbox.interchange.dataset import record_dataset
 
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "data"))
     environment = Configuration("FlexOne-v0", {"horizon": 2.0})

@@ -8,10 +8,10 @@ import yaml
 import flexman_gym as fm
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.evaluation.policy_files import POLICIES, exceeded_limits
-from flexman_gym.league import page
-from flexman_gym.league.rows import LeagueRows
-from flexman_gym.league.scenarios import LAB_SCENARIO
-from flexman_gym.league.standings import Standings
+from flexman_gym.toolbox.league import page
+from flexman_gym.toolbox.league.rows import LeagueRows
+from flexman_gym.toolbox.league.scenarios import LAB_SCENARIO
+from flexman_gym.toolbox.league.standings import Standings
 from studies.files import read_rows
 from studies.markdown import WORDS
 from studies.results import Results

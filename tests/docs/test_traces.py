@@ -15,8 +15,8 @@ import pytest
 import yaml
 
 from flexman_gym.envs.config.named_environments import DEFAULT_ID
-from flexman_gym.league.rows import VALUES, EpisodeRow, LeagueRows
-from flexman_gym.league.standings import Standings
+from flexman_gym.toolbox.league.rows import VALUES, EpisodeRow, LeagueRows
+from flexman_gym.toolbox.league.standings import Standings
 from studies.control.cases import ControlRow
 from studies.control.page import AGENTS as CONTROL_AGENTS
 from studies.control.page import page as control_page

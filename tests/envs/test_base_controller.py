@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import flexman_gym as fm
-from flexman_gym.control.pd import PD
+from flexman_gym.agent.pd import PD
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
@@ -15,8 +15,8 @@ from flexman_gym.envs.effects import SIGNALS
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.sensors import Instrument, ServoErrors
 from flexman_gym.envs.vector_env import FlexManVectorEnv
-from flexman_gym.fidelity.model_selection import assembled_modes
 from flexman_gym.simulation.batch import Batch
+from flexman_gym.toolbox.fidelity.model_selection import assembled_modes
 
 from oracles.assertions import refusal
 from oracles.random_inputs import actions

@@ -5,13 +5,13 @@ import numpy as np
 import pytest
 
 import flexman_gym as fm
-from flexman_gym.control.safety import STATUS
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.infos import INFO_MODES, flat_info
 from flexman_gym.envs.vector_env import FlexManVectorEnv
-from flexman_gym.evaluation.agent import AgentSpec
+from flexman_gym.evaluation.agents import AgentSpec
 from flexman_gym.kernels import layout
+from flexman_gym.toolbox.safety.safety_filter import STATUS
 
 from oracles.assertions import refusal
 from oracles.random_inputs import actions

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import flexman_gym as fm
-from flexman_gym.control.actions import TorqueMode
-from flexman_gym.control.pd import PD
+from flexman_gym.agent.action_modes import TorqueMode
+from flexman_gym.agent.pd import PD
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.sensors import FullState

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import flexman_gym as fm
-from flexman_gym.control.base_controllers import make_base
-from flexman_gym.control.pd import PD, stability_limit
+from flexman_gym.agent.base_controllers import make_base
+from flexman_gym.agent.pd import PD, stability_limit
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.envs.config.randomisation import Randomisation

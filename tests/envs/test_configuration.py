@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import flexman_gym as fm
+from flexman_gym.agent.pd import PD
 from flexman_gym.common import files
 from flexman_gym.common.renamed import complete_environment
-from flexman_gym.control.pd import PD
 from flexman_gym.envs.config.configuration import RENAMED, Configuration
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.envs.config.settings import SETTINGS
@@ -160,7 +160,7 @@ def test_objects_of_ones_own_cannot_be_described():
 
     assert refusal(Configuration(settings={"task": Nothing()}).to_plain).startswith("task: <")
     assert refusal(Configuration(settings={"base": PD([1.0] * 3, [1.0] * 3, 400.0)}).to_plain).startswith(
-        "base: <flexman_gym.control.pd.PD"
+        "base: <flexman_gym.agent.pd.PD"
     )
 
 
@@ -215,7 +215,7 @@ def test_kept_data_with_a_deprecated_name_is_read_without_a_warning(recwarn, old
 
 
 def test_shipped_policies_keep_the_old_name_and_load_without_a_warning(recwarn):
-    from flexman_gym.evaluation.agent import find_agent
+    from flexman_gym.evaluation.agents import find_agent
 
     assert '"hold": 10' in (policy_folder("ppo-flexplanar") / "policy.json").read_text()
     assert find_agent("ppo-flexplanar").interface["action_repeat"] == 10
@@ -287,8 +287,8 @@ def test_pages_of_keywords_and_of_renamed_names_are_those_of_the_tables(path, pa
 def test_the_same_file_and_seed_give_the_same_episode_everywhere(tmp_path):
     """From gym.make, gym.make_vec and an evaluation, whose records are period by period."""
     pytest.importorskip("stable_baselines3")
-    from flexman_gym.evaluation.agent import AgentSpec, common_environment, find_agent
-    from flexman_gym.evaluation.rollout import rollout
+    from flexman_gym.evaluation.agents import AgentSpec, common_environment, find_agent
+    from flexman_gym.evaluation.rollouts import rollout
 
     files.write_data(tmp_path / "own.yaml", OWN)
     result, seed = Configuration.load(tmp_path / "own.yaml"), 9003
@@ -314,7 +314,7 @@ def test_a_training_starts_with_the_episode_that_its_environment_gives():
     pytest.importorskip("stable_baselines3")
     from flexman_agents.sb3 import make_model
     from flexman_agents.settings import Settings
-    from flexman_gym.evaluation.rollout import training_seed
+    from flexman_gym.evaluation.rollouts import training_seed
 
     arms = make_model(Settings(environment=OWN, seed=2, envs=3)).get_vec_normalize_env()
     result = Configuration.from_plain(OWN)

@@ -8,9 +8,9 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 import flexman_gym as fm
+from flexman_gym.agent.base_controllers import make_base
+from flexman_gym.agent.controller import Controller
 from flexman_gym.common import files
-from flexman_gym.control.base_controllers import make_base
-from flexman_gym.control.controller import Controller
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.envs.config.specification import make_plant
 from flexman_gym.envs.effects import SIGNALS

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import flexman_gym as fm
+from flexman_gym.agent.pd import PD
 from flexman_gym.common import files
-from flexman_gym.control.pd import PD
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.envs.config.settings import SETTINGS as DECLARED
@@ -71,7 +71,7 @@ SETTINGS = [  # settings of one environment and of many, and the beginning of th
     ({"sensors": ("full", "full")}, "sensors: 'motor_angles' is not allowed; give each entry once"),
     ({"sensors": Quantities(("colour",))}, "Quantities.names: 'colour' is not allowed; give one of motor_angles"),
     ({"base": "pid"}, "base: 'pid' is not allowed; give one of pd, pd-torque, lqr, lqr-tracking"),
-    ({"base": PD}, "base: <class 'flexman_gym.control.pd.PD'> is not allowed; give None, one of pd, pd-torque, lqr"),
+    ({"base": PD}, "base: <class 'flexman_gym.agent.pd.PD'> is not allowed; give None, one of pd, pd-torque, lqr"),
     ({"base": Nosy([1.0] * 3, [1.0] * 3, 400.0)}, "sensors: 'nose' is not allowed; give one of full, fine, servo, st"),
     ({"base": 3}, "base: 3 is not allowed; give None, one of pd, pd-torque, lqr, lqr-tracking, "),
     ({"base": "pd", "arm": fm.catalog.one_joint()}, "gains: None is not allowed; give those of this arm"),
@@ -80,7 +80,7 @@ SETTINGS = [  # settings of one environment and of many, and the beginning of th
      "give a mapping with stiffness (N m/rad) and"),
     ({"actions": "force"}, "actions: 'force' is not allowed; give one of torque, current, voltage, velocity, position"),
     ({"actions": "current"}, "actions: 'current' is not allowed; give current for an arm with a motor"),
-    ({"actions": "position", "base": "pd"}, "base: <flexman_gym.control.pd.PD object at "),
+    ({"actions": "position", "base": "pd"}, "base: <flexman_gym.agent.pd.PD object at "),
     ({"actions": {"kind": "position", "range": [1.0, 2.0]}}, "actions.range: [1.0, 2.0] is not allowed; give 3 number"),
     ({"actions": {"kind": "velocity", "range": 0.0}}, "actions.range[0]: 0.0 is not allowed"),
     ({"actions": {"kind": "velocity", "stiffness": [1.0]}}, "PD.damping: "),

@@ -7,11 +7,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import flexman_gym as fm
-from flexman_gym.control.references.trajectories import plan_path
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.tasks import Track
 from flexman_gym.envs.tasks.track import PATH_SHAPES, RAMP_FRACTION
 from flexman_gym.metrics import rms
+from flexman_gym.toolbox.controllers.references.trajectories import plan_path
 
 from oracles.assertions import refusal
 

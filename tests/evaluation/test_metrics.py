@@ -8,7 +8,7 @@ import pytest
 
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation.metrics import METRICS, evaluate, metrics_table
-from flexman_gym.evaluation.rollout import EpisodeRecord, rollout
+from flexman_gym.evaluation.rollouts import EpisodeRecord, rollout
 
 from oracles.records import record
 

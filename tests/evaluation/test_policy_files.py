@@ -12,11 +12,11 @@ import pytest
 from safetensors.numpy import load, save
 
 import flexman_gym as fm
-from flexman_gym.control.base_controllers import BASES
+from flexman_gym.agent.base_controllers import BASES
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation import policy_files
-from flexman_gym.evaluation.agent import find_agent
 from flexman_gym.evaluation.agent_info import check_seeds_unseen, describe_agent, training_seconds
+from flexman_gym.evaluation.agents import find_agent
 from flexman_gym.evaluation.policy_files import (
     ARRAYS,
     MAX_BYTES,
@@ -29,7 +29,7 @@ from flexman_gym.evaluation.policy_files import (
     read_policy,
     write_policy,
 )
-from flexman_gym.evaluation.rollout import rollout
+from flexman_gym.evaluation.rollouts import rollout
 
 from oracles import shipped as made
 from oracles.assertions import refusal

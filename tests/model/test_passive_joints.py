@@ -7,12 +7,12 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import eigh, expm
 
 import flexman_gym as fm
-from flexman_gym.control.input_shaping.shapers import excited_modes
-from flexman_gym.control.lqr import LQR
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.model.state_space import natural_modes
 from flexman_gym.model.statics import rest_tips
 from flexman_gym.model.vibration import rotating_frequencies
+from flexman_gym.toolbox.controllers.input_shaping.shapers import excited_modes
+from flexman_gym.toolbox.controllers.lqr import LQR
 
 from oracles.assertions import refusal
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import flexman_gym as fm
-from flexman_gym.model.mjcf import to_mjcf
+from flexman_gym.toolbox.interchange.mjcf import to_mjcf
 
 from oracles.assertions import refusal
 

@@ -11,11 +11,11 @@ import numpy as np
 import flexman_gym as fm
 from flexman_agents.settings import Settings
 from flexman_gym import metrics
-from flexman_gym.control.lqr import LQR, TrackingLQR
-from flexman_gym.control.pd import PD
+from flexman_gym.agent.pd import PD
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.tasks import Hold, Track
 from flexman_gym.simulation.batch import Batch
+from flexman_gym.toolbox.controllers.lqr import LQR, TrackingLQR
 
 ARM = fm.catalog.planar_2r(joint_stiffness=20.0)
 LINK, JOINT = ARM.links[0], ARM.joints[0]

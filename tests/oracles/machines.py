@@ -3,8 +3,8 @@
 import numpy as np
 
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.evaluation.machine.arm import SimulatedArm
-from flexman_gym.evaluation.machine.drive import MEASURED
+from flexman_gym.toolbox.deployment.machine.arm import SimulatedArm
+from flexman_gym.toolbox.deployment.machine.drive import MEASURED
 
 
 class FakeClock:

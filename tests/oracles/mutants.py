@@ -63,7 +63,7 @@ def policy():
 
 def read_policy(folder):
     """Return the action of the policy of a folder for zero observations."""
-    from flexman_gym.evaluation.agent import find_agent
+    from flexman_gym.evaluation.agents import find_agent
 
     network = find_agent(folder).law
     size = len(np.load(io.BytesIO(policy()["newest.npz"]))["/statistics/mean"])

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from flexman_gym.evaluation.rollout import EpisodeRecord
+from flexman_gym.evaluation.rollouts import EpisodeRecord
 
 PERIOD, LENGTH = 0.02, 500  # s, control periods
 

@@ -12,10 +12,10 @@ from pathlib import Path
 
 import numpy as np
 
-from flexman_gym.control.agent import history_length
-from flexman_gym.control.network import Network
+from flexman_gym.agent.agent import history_length
+from flexman_gym.agent.network import Network
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.evaluation.agent import find_agent, observation_layout
+from flexman_gym.evaluation.agents import find_agent, observation_layout
 from flexman_gym.evaluation.policy_files import ARRAYS, CHECK_ROWS, METADATA, write_policy
 
 from oracles.mutants import bent, mangled

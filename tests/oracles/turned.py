@@ -6,7 +6,7 @@ from functools import cache
 import numpy as np
 
 import flexman_gym as fm
-from flexman_gym.identification.measurement import SimulatedResponse
+from flexman_gym.toolbox.identification.measurement import SimulatedResponse
 
 PERIOD = 0.01
 BENT, STRAIN = "link_deflection_1_y", "root_strain_1_y"

@@ -141,7 +141,7 @@ def test_a_finer_model_moves_nearly_so():
 def test_mujoco_moves_nearly_so():
     """Forces on the tip, an accelerated base and parameters of the arms included."""
     pytest.importorskip("mujoco", minversion="4")
-    from flexman_gym.simulation.mujoco import MuJoCoSimulator
+    from flexman_gym.toolbox.interchange.mujoco import MuJoCoSimulator
 
     theirs = played(USUAL, lambda one: MuJoCoSimulator(one.model, one.control_period, ARMS), 6)
     ours = played(USUAL, lambda one: RefinedSimulator(one, 3, 4), 6)
@@ -160,7 +160,7 @@ def test_mujoco_moves_nearly_so():
 def test_mujoco_starts_where_it_is_put():
     """Bent and moving: what is read is what was put, but for small angles, which turn one after the other there."""
     pytest.importorskip("mujoco", minversion="4")
-    from flexman_gym.simulation.mujoco import MuJoCoSimulator
+    from flexman_gym.toolbox.interchange.mujoco import MuJoCoSimulator
 
     double = MuJoCoSimulator(USUAL, PERIOD, 1)
     state = 1e-4 * np.random.default_rng(1).normal(size=2 * USUAL.n_dof)
@@ -175,7 +175,7 @@ def test_mujoco_starts_where_it_is_put():
 
 def test_what_diverges_in_mujoco_is_a_status():
     pytest.importorskip("mujoco", minversion="4")
-    from flexman_gym.simulation.mujoco import MuJoCoSimulator
+    from flexman_gym.toolbox.interchange.mujoco import MuJoCoSimulator
 
     result, start = batch(USUAL)
     result.replace_integrator(lambda mover: ExternalIntegrator(USUAL, mover, MuJoCoSimulator(USUAL, PERIOD, ARMS)))

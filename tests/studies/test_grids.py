@@ -11,7 +11,7 @@ pytest.importorskip("stable_baselines3")
 from flexman_agents.training import train, train_or_resume
 from flexman_gym.common.parallel import Workers, parallel_map
 from flexman_gym.common.run_folder import NEWEST, read_npz
-from flexman_gym.league.rows import ROWS, run_league
+from flexman_gym.toolbox.league.rows import ROWS, run_league
 from studies.stability import rows as stability
 
 from oracles import cells
@@ -78,7 +78,7 @@ def test_every_way_gives_the_bits_of_a_serial_run_although_a_worker_is_killed(
     monkeypatch.chdir(tmp_path)
     parallel_map(partial(cells.dying_once, str(tmp_path / "grave"), train_or_resume), seeds_of(tmp_path), workers)
     assert policies(tmp_path) == serial[0] and len({str(each) for each in serial[0]}) == 5
-    if way != "processes":  # in which league/test_rows.py plays it
+    if way != "processes":  # in which toolbox/league/test_rows.py plays it
         assert league(tmp_path / "league", workers, venues) == serial[1]
     assert repr(parallel_map(stability.rows_of, MAP, workers)) == repr(serial[2])
     assert (tmp_path / "grave").exists() and len(serial[2]) == len(MAP) == 2

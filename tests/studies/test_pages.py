@@ -2,7 +2,7 @@
 
 import pytest
 
-from flexman_gym.verification.table import VerificationRow
+from flexman_gym.toolbox.verification.table import VerificationRow
 from studies.arm_design.measure import DesignRow, ProfileRow
 from studies.arm_design.page import page as arm_design_page
 from studies.benchmark.endurance import EnduranceRow

@@ -8,7 +8,7 @@ import pytest
 from scipy.linalg import eigh
 
 import flexman_gym as fm
-from flexman_gym.model.mjcf import to_mjcf
+from flexman_gym.toolbox.interchange.mjcf import to_mjcf
 from studies.peers import measure
 from studies.peers.measure import decay, decays, with_rigid_joints
 from studies.precision.measure import PrecisionRow, cost_at

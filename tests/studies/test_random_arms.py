@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 import flexman_gym as fm
-from flexman_gym.control.friction_compensation import frictionless
-from flexman_gym.control.lqr import POSTURE_SPACING, CostWeights
+from flexman_gym.agent.friction_compensation import frictionless
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.model.state_space import discretize
 from flexman_gym.simulation.parameters import varied_model
+from flexman_gym.toolbox.controllers.lqr import POSTURE_SPACING, CostWeights
 from studies.control.random_arms import MAX_REACH, MAX_SAG, MIN_REACH, random_arm, uncertain_environment
 
 

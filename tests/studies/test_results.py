@@ -6,9 +6,9 @@ from dataclasses import replace
 import pytest
 
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
-from flexman_gym.league import page as league_page
-from flexman_gym.league.rows import LeagueRows
 from flexman_gym.metrics import upper_median
+from flexman_gym.toolbox.league import page as league_page
+from flexman_gym.toolbox.league.rows import LeagueRows
 from studies.control.cases import ControlRow
 from studies.control.page import page as control_page
 from studies.environments.measure import BASELINES, LONG_NAME, Baseline

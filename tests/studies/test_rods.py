@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import flexman_gym as fm
-from flexman_gym.model.mjcf import to_mjcf
+from flexman_gym.toolbox.interchange.mjcf import to_mjcf
 from studies.precision.measure import ReferenceSolution, Study
 
 ARM, SCENE = fm.catalog.paper_rrr(), fm.catalog.paper_scene("ff")

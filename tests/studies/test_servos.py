@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import flexman_gym as fm
-from flexman_gym.control.margins import sampled_loops
 from flexman_gym.model.dynamics import mass_matrix
+from flexman_gym.toolbox.controllers.margins import sampled_loops
 from studies.files import read_rows
 from studies.servos.measure import (
     APART,

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from flexman_gym.verification.table import VerificationRow, VerificationTable
+from flexman_gym.toolbox.verification.table import VerificationRow, VerificationTable
 from studies.files import read_rows
 from studies.verification.arms import catalog_rows, rayleigh_frequencies
 from studies.verification.motions import rows as table_rows

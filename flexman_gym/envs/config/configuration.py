@@ -5,6 +5,7 @@ from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NoReturn, Self
 
+from flexman_gym.agent.pd import torque_limits
 from flexman_gym.common import files
 from flexman_gym.common.checks import (
     keyword_error,
@@ -21,7 +22,6 @@ from flexman_gym.common.checks import (
 )
 from flexman_gym.common.markdown import text_fields
 from flexman_gym.common.renamed import current_methods, deprecated_names, rename_keys
-from flexman_gym.control.pd import torque_limits
 from flexman_gym.envs.config.named_environments import (
     DEFAULT_ID,
     NAMED_ENVIRONMENTS,

@@ -13,10 +13,10 @@ from flexman_gym.simulation.integrator import default_step
 from flexman_gym.simulation.methods import Method
 
 if TYPE_CHECKING:
-    from flexman_gym.fidelity.model_selection import Choice
+    from flexman_gym.toolbox.fidelity.model_selection import Choice
 
 SLEW_DURATION = 3.0  # s; duration of the slew for which fidelity="auto" chooses the model
-SELECTION = "flexman_gym.fidelity.model_selection"  # module that selects models
+SELECTION = "flexman_gym.toolbox.fidelity.model_selection"  # module that selects models
 SLEW_START = 0.4  # rad; magnitude of the joint angles at its start, with alternating signs
 
 

@@ -7,6 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from flexman_gym.agent.action_modes import ACTIONS, ActionMode
+from flexman_gym.agent.agent import MAX_HISTORY
+from flexman_gym.agent.base_controllers import BASES, parse_kind
+from flexman_gym.agent.controller import checked_controller
 from flexman_gym.common.checks import (
     finite,
     flag,
@@ -18,10 +22,6 @@ from flexman_gym.common.checks import (
     value_error,
     whole_number,
 )
-from flexman_gym.control.actions import ACTIONS, ActionMode
-from flexman_gym.control.agent import MAX_HISTORY
-from flexman_gym.control.base_controllers import BASES, parse_kind
-from flexman_gym.control.controller import checked_controller
 from flexman_gym.envs.config.randomisation import Randomisation
 from flexman_gym.envs.limits import Limits
 from flexman_gym.envs.sensors import find_sensors, plain_sensors

@@ -4,13 +4,13 @@ import warnings
 
 import numpy as np
 
+from flexman_gym.agent.action_modes import ActionMode, make_action_mode
+from flexman_gym.agent.base_controllers import make_base
+from flexman_gym.agent.controller import Controller, Plant
+from flexman_gym.agent.pd import PD
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import warn_caller
 from flexman_gym.common.registry import load_entry
-from flexman_gym.control.actions import ActionMode, make_action_mode
-from flexman_gym.control.base_controllers import make_base
-from flexman_gym.control.controller import Controller, Plant
-from flexman_gym.control.pd import PD
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.envs.config.randomisation import Randomisation
@@ -83,8 +83,8 @@ def make_safe(configuration: Configuration, model: Model, base: Controller | Non
             f"safety: the filter keeps only the wide limits of the model ({kept}); give limits of strain, "
             "spring_torque or workspace, such as limits={'strain': 1e-4}"
         )
-    plant, make_safe_mode = make_plant(configuration, model), load_entry("flexman_gym.control.safety:make_safe_mode")
-    safe: ActionMode = make_safe_mode(mode, plant, limits.predicted(model), base)
+    make_safe_mode = load_entry("flexman_gym.toolbox.safety.safety_filter:make_safe_mode")
+    safe: ActionMode = make_safe_mode(mode, make_plant(configuration, model), limits.predicted(model), base)
     return safe
 
 

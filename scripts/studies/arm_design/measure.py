@@ -4,11 +4,11 @@ from dataclasses import dataclass
 
 from flexman_gym.common.arrays import Vector
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.evaluation.arm_design import optimise_arm
 from flexman_gym.evaluation.metrics import evaluate
-from flexman_gym.evaluation.rollout import TEST_SEEDS
+from flexman_gym.evaluation.rollouts import TEST_SEEDS
 from flexman_gym.model.dynamics import frequencies
 from flexman_gym.model.model import build_model
+from flexman_gym.toolbox.sensitivity.arm_design import optimise_arm
 
 ENVIRONMENT, SECTIONS, EPISODES = "FlexRRR-v0", 4, 20
 HORIZON = 60.0  # s; longest simulated episode, as the PD of the given arm needs more than 20 s

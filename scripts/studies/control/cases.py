@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from flexman_gym.control.base_controllers import make_base
+from flexman_gym.agent.base_controllers import make_base
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.envs.config.specification import make_plant
 from flexman_gym.envs.episodes import Episodes
-from flexman_gym.evaluation.agent import find_agent
+from flexman_gym.evaluation.agents import find_agent
 from flexman_gym.evaluation.metrics import METRICS
-from flexman_gym.evaluation.rollout import Rollout, rollout
+from flexman_gym.evaluation.rollouts import Rollout, rollout
 from studies.control.random_arms import random_arm, uncertain_environment
 
 FRICTION_RANGES = {name: [0.5, 1.5] for name in ("viscous_friction_factor", "coulomb_friction_factor")}

@@ -9,7 +9,7 @@ import flexman_gym as fm
 from flexman_gym.common.arrays import Array
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
-from flexman_gym.evaluation.rollout import TEST_SEEDS
+from flexman_gym.evaluation.rollouts import TEST_SEEDS
 from flexman_gym.kernels.layout import ARMS_PER_GROUP, OFFSET, OUTPUTS
 from flexman_gym.scene.signals import signal_table
 from flexman_gym.simulation.batch_integrators import LaneIntegrator

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 
 import flexman_gym as fm
+from flexman_gym.agent import network
 from flexman_gym.common.arrays import Array
-from flexman_gym.control import network
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.episodes import Episodes
-from flexman_gym.evaluation.agent import AgentSpec, find_agent
+from flexman_gym.evaluation.agents import AgentSpec, find_agent
 from flexman_gym.kernels import layout
 from flexman_gym.simulation.batch import Batch
 

@@ -10,9 +10,9 @@ import numpy as np
 import flexman_gym as fm
 from flexman_gym.common.arrays import Array
 from flexman_gym.model.model import Model, scene_model
-from flexman_gym.simulation.differentiation import find_directions
 from flexman_gym.simulation.methods import Method
 from flexman_gym.simulation.parameters import nominal_parameters
+from flexman_gym.toolbox.sensitivity.differentiation import find_directions
 
 Z = (0.0, 0.0, 1.0)
 OUTPUTS = ("tip", "tip_velocity", "joint_angles", "motor_rates", "root_strains", "kinetic_energy", "elastic_energy",

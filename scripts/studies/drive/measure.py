@@ -16,20 +16,20 @@ import flexman_gym as fm
 from flexman_gym.common.arrays import Array
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
-from flexman_gym.evaluation.agent import find_agent
-from flexman_gym.evaluation.machine.arm import STOPPING
-from flexman_gym.evaluation.machine.clock import MonotonicClock
-from flexman_gym.evaluation.machine.drive import WARM_UP, drive, wanted_quantities
-from flexman_gym.evaluation.machine.machine import UdpMachine
-from flexman_gym.evaluation.machine.rest import RestSpeeds
-from flexman_gym.evaluation.machine.server import Disturbances
-from flexman_gym.evaluation.machine.simulated import SimulatedMachine
-from flexman_gym.evaluation.machine.virtual import VirtualMachine
-from flexman_gym.evaluation.rollout import TEST_SEEDS, rollout
+from flexman_gym.evaluation.agents import find_agent
+from flexman_gym.evaluation.rollouts import TEST_SEEDS, rollout
 from flexman_gym.metrics import settling_time
 from flexman_gym.metrics.statistics import median_interval, upper_median
 from flexman_gym.model.linearization import LinearMeasurements
 from flexman_gym.simulation.episode import Episode
+from flexman_gym.toolbox.deployment.machine.arm import STOPPING
+from flexman_gym.toolbox.deployment.machine.clock import MonotonicClock
+from flexman_gym.toolbox.deployment.machine.drive import WARM_UP, drive, wanted_quantities
+from flexman_gym.toolbox.deployment.machine.machine import UdpMachine
+from flexman_gym.toolbox.deployment.machine.rest import RestSpeeds
+from flexman_gym.toolbox.deployment.machine.server import Disturbances
+from flexman_gym.toolbox.deployment.machine.simulated import SimulatedMachine
+from flexman_gym.toolbox.deployment.machine.virtual import VirtualMachine
 
 FAULT_TIME = {"FlexRRR-v0": 1.0, "FlexRotary-v0": 0.3}  # s; in the middle of the slews
 FAULT_LOOPS = {"pd": "FlexRRR-v0", "adaptive-lqr": "FlexRRR-v0", "lqg": "FlexRotary-v0"}  # agent -> environment

@@ -11,14 +11,14 @@ import numpy as np
 
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.plot_style import BLUE, RED, SLATE, save_figure
-from flexman_gym.draw.comparison import side_by_side, suggested_gain
-from flexman_gym.draw.video import write_video
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation.metrics import METRICS
-from flexman_gym.evaluation.rollout import TEST_SEEDS, Rollout, rollout
+from flexman_gym.evaluation.rollouts import TEST_SEEDS, Rollout, rollout
 from flexman_gym.kernels import layout
 from flexman_gym.model.model import Model, build_model
 from flexman_gym.simulation.batch import Batch
+from flexman_gym.toolbox.view.comparison import side_by_side, suggested_gain
+from flexman_gym.toolbox.view.video import write_video
 from studies.charts import new_chart
 
 MOTIONS, DURATION, HELD, SPREAD, PART = 8, 1.0, 0.2, 0.5, 0.5  # s, s, rad, share of the torque limits

@@ -13,15 +13,15 @@ import numpy as np
 from flexman_agents.settings import Settings, find_recipe
 from flexman_agents.training import train
 from flexman_gym.common.parallel import Workers, parallel_map
-from flexman_gym.draw.learning_curves import draw_learning_curves, read_progress
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.envs.vector_env import FlexManVectorEnv, compile_kernels
-from flexman_gym.evaluation.agent import AgentSpec, find_agent, split_interface
+from flexman_gym.evaluation.agents import AgentSpec, find_agent, split_interface
 from flexman_gym.evaluation.metrics import METRICS
 from flexman_gym.evaluation.policy_files import POLICIES
-from flexman_gym.evaluation.rollout import TEST_SEEDS, rollout
+from flexman_gym.evaluation.rollouts import TEST_SEEDS, rollout
 from flexman_gym.simulation.integrator import default_step
+from flexman_gym.toolbox.view.learning_curves import draw_learning_curves, read_progress
 from studies.stopwatch import Stopwatch
 
 ABLATED = "ppo_on_pd_minute"

@@ -22,8 +22,8 @@ from flexman_gym.evaluation.policy_files import (
     read_certificate,
     read_policy,
 )
-from flexman_gym.evaluation.rollout import TEST_SEEDS
-from flexman_gym.league import certificate
+from flexman_gym.evaluation.rollouts import TEST_SEEDS
+from flexman_gym.toolbox.league import certificate
 from studies.environments.measure import Baseline
 from studies.files import split_waiting
 from studies.learning.measure import (

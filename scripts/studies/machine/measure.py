@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 
 import flexman_gym as fm
-from flexman_gym.identification.least_squares import FreeParameters
-from flexman_gym.identification.measurement import Filter, Measurement, SimulatedResponse
 from flexman_gym.model.dynamics import mass_matrix
 from flexman_gym.model.model import Model, build_model
 from flexman_gym.simulation.parameters import nominal_parameters
+from flexman_gym.toolbox.identification.least_squares import FreeParameters
+from flexman_gym.toolbox.identification.measurement import Filter, Measurement, SimulatedResponse
 
 DATA = Path(__file__).parent / "data"
 LOGGED = Filter.low_pass(2.0, 0.9)  # filter of the logged deflections; hub angles are unfiltered

@@ -6,8 +6,8 @@ import mujoco  # type: ignore[import-not-found, import-untyped, unused-ignore]
 import numpy as np
 
 import flexman_gym as fm
-from flexman_gym.model.mjcf import to_mjcf
 from flexman_gym.scene.signals import SampledAngles
+from flexman_gym.toolbox.interchange.mjcf import to_mjcf
 from studies.machine.measure import LOGGED
 
 PIECES = 4

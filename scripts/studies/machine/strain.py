@@ -9,9 +9,9 @@ import numpy as np
 
 import flexman_gym as fm
 from flexman_gym.common.arrays import Array
-from flexman_gym.control.observers.kalman_filter import measurement_update, stationary_covariance
-from flexman_gym.identification.least_squares import FreeParameters
 from flexman_gym.model.linearization import LinearMeasurements
+from flexman_gym.toolbox.controllers.observers.kalman_filter import measurement_update, stationary_covariance
+from flexman_gym.toolbox.identification.least_squares import FreeParameters
 from studies.machine.measure import (
     CURRENT,
     DATA,

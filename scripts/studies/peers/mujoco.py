@@ -12,7 +12,7 @@ from mujoco import batch
 
 import flexman_gym as fm
 from flexman_gym.common.arrays import Array
-from flexman_gym.model.mjcf import to_mjcf
+from flexman_gym.toolbox.interchange.mjcf import to_mjcf
 from studies.peers.measure import PeerRun, Timer, output_count, row, with_rigid_joints
 from studies.precision.measure import OK, PrecisionRow, Study
 

@@ -12,7 +12,7 @@ from xml.etree.ElementTree import SubElement
 
 import numpy as np
 
-from flexman_gym.model.mjcf import to_mjcf
+from flexman_gym.toolbox.interchange.mjcf import to_mjcf
 from studies.peers.measure import Timer, row
 from studies.peers.mujoco import SANE, advance, fewest_parts
 from studies.precision.measure import PrecisionRow, Study

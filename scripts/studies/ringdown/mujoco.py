@@ -8,7 +8,7 @@ import mujoco  # type: ignore[import-not-found, import-untyped, unused-ignore]
 import numpy as np
 
 from flexman_gym.common.arrays import Array
-from flexman_gym.model.mjcf import to_mjcf
+from flexman_gym.toolbox.interchange.mjcf import to_mjcf
 from studies.peers.mujoco import integrators
 from studies.ringdown.measure import (
     DURATION,

@@ -6,21 +6,21 @@ from dataclasses import dataclass
 import numpy as np
 
 import flexman_gym as fm
+from flexman_gym.agent.controller import EpisodeInfo, Plant
 from flexman_gym.common.arrays import Array
-from flexman_gym.control.controller import EpisodeInfo, Plant
-from flexman_gym.control.hinf import (
+from flexman_gym.kernels.layout import TIP
+from flexman_gym.model.linearization import LinearMeasurements
+from flexman_gym.model.state_space import LinearModel
+from flexman_gym.model.statics import rest_state
+from flexman_gym.simulation.batch import Batch
+from flexman_gym.toolbox.controllers.hinf import (
     GeneralisedPlant,
     HInfinity,
     Synthesis,
     centred_model,
     linear_parameters,
 )
-from flexman_gym.control.observers.observer import MeasurementModel
-from flexman_gym.kernels.layout import TIP
-from flexman_gym.model.linearization import LinearMeasurements
-from flexman_gym.model.state_space import LinearModel
-from flexman_gym.model.statics import rest_state
-from flexman_gym.simulation.batch import Batch
+from flexman_gym.toolbox.controllers.observers.observer import MeasurementModel
 
 PERIOD = 0.002  # s
 TORQUE_LIMIT = 5.0  # N m; not printed in the book; the move needs 1 N m

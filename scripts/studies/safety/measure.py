@@ -13,15 +13,15 @@ import gymnasium as gym
 import numpy as np
 
 import flexman_gym as fm
+from flexman_gym.agent.controller import Controller, EpisodeInfo, Readings
 from flexman_gym.common.arrays import Array, BoolArray, IntArray
 from flexman_gym.common.files import write_atomically
-from flexman_gym.control.controller import Controller, EpisodeInfo, Readings
-from flexman_gym.control.safety import CHANGED, STOPPED, SafetyFilter
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.episodes import Episodes
 from flexman_gym.evaluation.metrics import METRICS
-from flexman_gym.evaluation.rollout import Rollout, rollout
+from flexman_gym.evaluation.rollouts import Rollout, rollout
 from flexman_gym.metrics.statistics import upper_median
+from flexman_gym.toolbox.safety.safety_filter import CHANGED, STOPPED, SafetyFilter
 
 ENVIRONMENT, STUDY, RATE, HALF_SPACE = "FlexRRR-v0", "strain and torque", "rate", "half space"
 ATTACKED = 0.6  # limit of the agents that have no goal, which they exceed in nearly all moves

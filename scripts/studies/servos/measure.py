@@ -6,9 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from flexman_gym.agent.pd import stability_limit
 from flexman_gym.common.arrays import Array
-from flexman_gym.control.margins import STABLE_RADIUS, SampledLoop, sampled_loops
-from flexman_gym.control.pd import stability_limit
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.kernels.layout import OK, TIP_VELOCITY
@@ -23,6 +22,7 @@ from flexman_gym.scene.rigid_body import Payload
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.linearization import linearize
 from flexman_gym.simulation.methods import DEFAULT_METHOD
+from flexman_gym.toolbox.controllers.margins import STABLE_RADIUS, SampledLoop, sampled_loops
 
 ENVIRONMENTS = ("FlexRRR-v0", "FlexPlanar-v0", "FlexOne-v0")
 PERIODS = (0.001, 0.002, 0.005, 0.01, 0.02, 0.04)  # s; control periods of the servo

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 
 import flexman_gym as fm
-from flexman_gym.control.input_shaping.motion import Motion
-from flexman_gym.control.input_shaping.shaped_motion import ShapedMotion
+from flexman_gym.toolbox.controllers.input_shaping.motion import Motion
+from flexman_gym.toolbox.controllers.input_shaping.shaped_motion import ShapedMotion
 
 PERIOD = 0.004  # s; of the motions
 RECORD = 10.0  # s; length of a record of the ringing

@@ -11,7 +11,7 @@ import numpy as np
 
 import flexman_gym as fm
 from flexman_gym.common.arrays import Array
-from flexman_gym.model.urdf import to_urdf
+from flexman_gym.toolbox.interchange.urdf_export import to_urdf
 
 PEER = Path(__file__).with_name("peer.py")
 POSTURES = 10  # number of random postures

@@ -17,7 +17,7 @@ from flexman_gym.scene.joint import Joint
 from flexman_gym.scene.link import Link
 from flexman_gym.simulation.scene_simulation import simulate
 from flexman_gym.simulation.simulator import Simulator
-from flexman_gym.verification.cases import (
+from flexman_gym.toolbox.verification.cases import (
     AXIAL,
     BENDING_Y,
     BENDING_Z,
@@ -26,9 +26,9 @@ from flexman_gym.verification.cases import (
     link_frequencies,
     slender_link,
 )
-from flexman_gym.verification.closed_forms import bar_frequencies, cantilever_frequencies
-from flexman_gym.verification.papers import catalog_rows
-from flexman_gym.verification.table import VerificationRow
+from flexman_gym.toolbox.verification.closed_forms import bar_frequencies, cantilever_frequencies
+from flexman_gym.toolbox.verification.papers import catalog_rows
+from flexman_gym.toolbox.verification.table import VerificationRow
 
 HERMITE = "known of cubic elements with consistent mass"
 WRIGHT = "Wright et al., J. Applied Mechanics 49 (1982)"

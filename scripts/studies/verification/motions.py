@@ -19,8 +19,8 @@ from flexman_gym.scene.scene import Initial, ModelChoice, Scene
 from flexman_gym.scene.signals import ConstantTorque, Signal
 from flexman_gym.simulation.scene_simulation import simulate
 from flexman_gym.simulation.trajectory import Trajectory
-from flexman_gym.verification.cases import CLOSED_FORMS
-from flexman_gym.verification.table import VerificationRow
+from flexman_gym.toolbox.verification.cases import CLOSED_FORMS
+from flexman_gym.toolbox.verification.table import VerificationRow
 from studies.verification.arms import CASES, IDENTITY
 
 INDEPENDENT = "independent automatic-differentiation code"

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from flexman_gym.common.markdown import markdown_table
-from flexman_gym.verification.table import PASS, SHOWN, VerificationRow
+from flexman_gym.toolbox.verification.table import PASS, SHOWN, VerificationRow
 from studies.screen import screen
 
 KINDS = {

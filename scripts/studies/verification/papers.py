@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 
 from flexman_gym.common.markdown import markdown_table
-from flexman_gym.verification.papers import REASONS
-from flexman_gym.verification.table import PASS, SHOWN, VerificationRow
+from flexman_gym.toolbox.verification.papers import REASONS
+from flexman_gym.toolbox.verification.table import PASS, SHOWN, VerificationRow
 
 PAGE = """# Arms of published papers
 

@@ -1,0 +1,1 @@
+"""Agents: controller, action mode, history and normalisation, and policies as networks."""

@@ -1,0 +1,79 @@
+"""Base controllers by name: table of their entries, and construction from names and mappings."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from flexman_gym.agent.controller import Controller, Plant
+from flexman_gym.common.checks import mapping, one_of, text, value_error
+from flexman_gym.common.registry import Registry
+from flexman_gym.common.renamed import BASE_ARGUMENTS, rename_keys
+
+
+class _Entry(Protocol):
+    """Entry of a table of base controllers or action modes: `arguments` are the names of its arguments."""
+
+    @property
+    def arguments(self) -> tuple[str, ...]: ...
+
+
+def parse_kind(field: str, value: object, table: Mapping[str, _Entry]) -> tuple[str, dict[str, Any]]:
+    """Return name and arguments of a base controller or an action mode.
+
+    Args:
+        field: name of the field, for error messages.
+        value: name, or mapping with the name under "kind" and the arguments.
+        table: `BASES` or `ACTIONS`.
+    """
+    if isinstance(value, str):
+        return one_of(field, value, table), {}
+    if not isinstance(value, Mapping) or "kind" not in value:
+        raise value_error(field, value, "a name, or a mapping with the name under kind and its arguments")
+    name = one_of(f"{field}.kind", text(f"{field}.kind", value["kind"]), table)
+    given = {text(f"a key of {field}", key): each for key, each in value.items() if key != "kind"}
+    return name, mapping(field, rename_keys(given, BASE_ARGUMENTS, field=field), table[name].arguments)
+
+
+DEFAULT_TUNING = "none: default weights for every arm"  # tuning of controllers designed from a model
+
+
+@dataclass(frozen=True)
+class ControllerEntry:
+    """Entry of a controller in the table of base controllers, which stands in the file of the controller.
+
+    Attributes:
+        make: function of a Plant and the arguments that returns the controller.
+        information: information beyond motor measurements that the controller requires.
+        arguments: names of the arguments that a mapping may contain.
+        description: noun phrase for the league page.
+        tuning: origin of the gains.
+    """
+
+    make: Callable[..., Controller]
+    information: tuple[str, ...]
+    arguments: tuple[str, ...]
+    description: str
+    tuning: str = DEFAULT_TUNING
+
+
+_PLACE = "flexman_gym.control"
+BASES: Registry[ControllerEntry] = Registry({
+    "pd": f"{_PLACE}.pd:ENTRY",
+    "pd-torque": f"{_PLACE}.torque_feedback_pd:ENTRY",
+    "lqr": f"{_PLACE}.lqr:LQR_ENTRY",
+    "lqr-tracking": f"{_PLACE}.lqr:TRACKING_ENTRY",
+    "lqg": f"{_PLACE}.output_feedback:LQG_ENTRY",
+    "hinf": f"{_PLACE}.hinf:ENTRY",
+    "mpc": f"{_PLACE}.mpc:ENTRY",
+    "optimised": f"{_PLACE}.references.optimised_slews:ENTRY",
+    "adaptive-lqr": f"{_PLACE}.output_feedback:ADAPTIVE_ENTRY",
+    "privileged-lqr": f"{_PLACE}.output_feedback:PRIVILEGED_ENTRY",
+    "pd-shaped": f"{_PLACE}.input_shaping.shaped_controller:ENTRY",
+})  # fmt: skip
+"""Base controllers: name -> construction, required information, arguments and description."""
+
+
+def make_base(value: object, plant: Plant) -> Controller:
+    """Make a base controller, given by name or mapping, for a plant; see `parse_kind`."""
+    name, arguments = parse_kind("base", value, BASES)
+    return BASES[name].make(plant, **arguments)

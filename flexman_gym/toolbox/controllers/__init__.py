@@ -1,0 +1,1 @@
+"""Controllers, observers, reference trajectories and input shaping."""

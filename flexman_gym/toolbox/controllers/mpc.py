@@ -1,0 +1,240 @@
+"""Model predictive control within the torque limits, with nonlinear predictions by the simulator."""
+
+from collections.abc import Sequence
+from types import ModuleType
+from typing import NamedTuple
+
+import numpy as np
+
+from flexman_gym.agent.base_controllers import ControllerEntry
+from flexman_gym.agent.controller import EpisodeInfo, Plant, Readings
+from flexman_gym.agent.friction_compensation import FrictionCompensation
+from flexman_gym.agent.pd import torque_limits
+from flexman_gym.common.arrays import Array, BoolArray, IntArray, Vector, pad_rows, row_dots
+from flexman_gym.common.checks import value_error
+from flexman_gym.common.computer import optional_module
+from flexman_gym.kernels.layout import TIP, TIP_VELOCITY
+from flexman_gym.model.model import Model, check_model
+from flexman_gym.model.state_space import discretize
+from flexman_gym.model.statics import holding_torques, rest_state
+from flexman_gym.simulation.batch import Batch
+from flexman_gym.simulation.linearization import linearize
+from flexman_gym.simulation.methods import DEFAULT_METHOD, Method
+from flexman_gym.toolbox.controllers.lqr import MOTOR_WEIGHT, CostWeights
+from flexman_gym.toolbox.controllers.references.trajectories import plan_slew
+
+# Tip deviation (fraction of the reach) and tip speed / reach (1/s) that cost 1: tuned as 0.05 m and 0.5 m/s for an arm
+# with a reach of 8.5 m; a quarter and half of the values of the LQR.
+TIP_SCALE, TIP_SPEED_SCALE = 0.05 / 8.5, 0.5 / 8.5
+REFERENCE_TORQUE = 1.3  # fraction of the torque limits for which the reference slew is planned
+MAX_CHANGE = 0.05  # fraction of the torque limits; largest change of planned torques, within the linear range
+LINEARISATION_PERIOD = 20  # index, not a time: the prediction is linearised at the state after this control period
+LINEARISATION_POSTURES = 5  # number of postures along a slew about which the prediction is linearised
+MIN_SQUARED_LENGTH = 1e-12  # rad^2; avoids division by zero for a slew of zero length
+MOVE_BLOCKS = (1, 2, 3, 4, 5, 5, 5, 6, 7, 7, 8, 10)  # control periods over which each torque change is constant
+
+
+class _Horizon(NamedTuple):
+    """Linear prediction over N control periods, with respect to m = blocks x n changes of planned torques.
+
+    Torque changes are fractions of the limits. The outputs in the cost are tip, tip velocity and motor angles, divided
+    by their scales (deviations of unit cost, see `CostWeights`), after each period but the last; the state after the
+    last period has the terminal cost of the infinite-horizon LQR.
+
+    Attributes:
+        jacobian: (m, (N - 1) (6 + n) + 2 d) transposed Jacobian of the outputs with respect to the changes.
+        curvature: (m, m) Hessian of the cost.
+        terminal: (2 d, 2 d) square root of the terminal cost matrix.
+    """
+
+    jacobian: Array
+    curvature: Array
+    terminal: Array
+
+
+def _design_horizon(
+    model: Model, posture: Array, limits: Array, weights: CostWeights, period: float, blocks: Sequence[int]
+) -> _Horizon:
+    """Return the prediction about a posture (n,) rad of the motors; the lengths of the blocks, in periods, sum to N."""
+    from scipy.linalg import solve_discrete_are
+
+    linear = linearize(model, state=rest_state(model, posture), torque=holding_torques(model, posture))
+    transition, inputs = discretize(linear.A, linear.B, period)
+    inputs, d, n = inputs * limits, model.n_dof, len(limits)
+    outputs = weights.outputs(linear, model.motor_columns)
+    squares, axes = np.linalg.eigh(solve_discrete_are(transition, inputs, outputs.T @ outputs, np.eye(n)))
+    terminal = np.sqrt(np.maximum(squares, 0.0))[:, None] * axes.T
+    state, rows = np.zeros((2 * d, n * len(blocks))), []
+    for block in np.repeat(np.arange(len(blocks)), blocks):
+        state = transition @ state
+        state[:, n * block : n * (block + 1)] += inputs
+        rows.append(outputs @ state)
+    jacobian = np.vstack([*rows[:-1], terminal @ state]).T.copy()
+    return _Horizon(jacobian, jacobian @ jacobian.T + np.diag(np.repeat(np.array(blocks, dtype=float), n)), terminal)
+
+
+class _Plan(NamedTuple):
+    """Reference of an arm: a slew followed by N periods of rest, and the linear predictions along it.
+
+    Attributes:
+        horizons: (g, ...) linear predictions at postures along the path.
+        start: (n,) initial motor angles, rad.
+        displacement: (n,) motor angles of the goal minus those of the start, rad.
+        states: (T, 2 d) reference states.
+        outputs: (T, OUTPUTS) outputs of the model at these states.
+        torques: (T, n) feed-forward torques, fractions of the limits.
+    """
+
+    horizons: _Horizon
+    start: Array
+    displacement: Array
+    states: Array
+    outputs: Array
+    torques: Array
+
+
+class MPC:
+    """Model predictive control of a slew: in every period, torques are planned for N periods and the first is applied.
+
+    The simulator predicts the motion of the nonlinear arm under the previous plan. A quadratic program then computes
+    changes of the torques, constant over blocks of periods (move blocking), that bring the prediction closest to a
+    minimum-jerk slew planned for 1.3 times the torque limits. The effect of the changes is linearised, with Jacobians
+    interpolated along the path. For a linear arm within its limits, the result equals the finite-horizon LQR. The
+    predictions are those of the arm without friction; friction is compensated, see `FrictionCompensation`.
+
+    Args:
+        model: model of the arm, with the same generalised coordinates as the controlled arm.
+        torque_limit: torque limit of all joints, or of each joint (n,), N m.
+        period: control period, s.
+        integration: method and step (s) of the prediction.
+
+    Raises:
+        ImportError: without daqp (Arnström, Bemporad and Axehill, IEEE Trans. Automatic Control 67, 2022, 4362), the
+            solver of the quadratic programs.
+        ValueError: for arguments out of range; in `reset` for a moving goal.
+    """
+
+    sensors: tuple[str, ...] = ("state",)
+    state_fields = ("_planned", "_now")
+
+    def __init__(
+        self,
+        model: Model,
+        torque_limit: float | Vector,
+        period: float,
+        integration: tuple[str | Method, float | str] = (DEFAULT_METHOD, "auto"),
+    ) -> None:
+        self._daqp = optional_module("daqp", "the MPC", "mpc")
+        reach = float(check_model(model).constants.length.sum())
+        self.model, self.period, self._integration = model, period, integration
+        self.limits = np.array(torque_limits("torque_limit", torque_limit, model.n_joints))
+        self._weights = CostWeights(TIP_SCALE * reach, TIP_SPEED_SCALE * reach, MOTOR_WEIGHT)
+        self._plans: list[_Plan] = []
+        self._planned, self._now = np.zeros((0, sum(MOVE_BLOCKS), model.n_joints)), np.zeros(0, dtype=np.int64)
+        plant = Plant(model, tuple(self.limits.tolist()), period, dict, integration=integration)
+        self._compensation = FrictionCompensation(plant)
+        self._batch = self._make_batch(1)
+
+    def _make_batch(self, count: int) -> Batch:
+        return Batch(self._compensation.model, *self._integration, self.period, arms=count)
+
+    def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
+        """Plan the slews of new episodes and the predictions along them; arguments as in `Controller.reset`."""
+        if episode.path is not None:
+            raise value_error("episode", "a moving goal", "a fixed goal: the MPC plans slews only")
+        self._planned, self._now = pad_rows(self._planned, count), pad_rows(self._now, count)
+        for arm, start, goal in zip(arms.tolist(), episode.start, episode.goal, strict=True):
+            plan = self._plan(start, goal)
+            self._plans += [plan] * (arm + 1 - len(self._plans))
+            self._plans[arm] = plan
+            self._planned[arm], self._now[arm] = np.clip(plan.torques[: sum(MOVE_BLOCKS)], -1.0, 1.0), 0
+
+    def _plan(self, start: Array, goal: Array) -> _Plan:
+        slew, rest = (
+            plan_slew(self.model, start, goal, self.limits, REFERENCE_TORQUE, self.period),
+            sum(MOVE_BLOCKS) + 1,
+        )
+        states = np.vstack([slew.states, np.repeat(slew.states[-1:], rest, axis=0)])
+        torques = np.vstack([slew.torques, np.repeat(holding_torques(self.model, goal)[None], rest + 1, axis=0)])
+        batch = self._make_batch(len(states))
+        batch.reset(np.arange(len(states)), states)
+        postures = start + np.linspace(0.0, 1.0, LINEARISATION_POSTURES)[:, None] * (goal - start)
+        design = self.limits, self._weights, self.period, MOVE_BLOCKS
+        horizons = [_design_horizon(self._compensation.model, posture, *design) for posture in postures]
+        stacked = _Horizon(*(np.array(parts) for parts in zip(*horizons, strict=True)))
+        return _Plan(stacked, start, goal - start, states, batch.outputs, torques / self.limits)
+
+    def act(self, readings: Readings, applied: Array, active: BoolArray) -> Array:
+        """Return the actions (b, n) for the states; 0 for inactive arms."""
+        states = np.asarray(readings["state"], dtype=np.float64)
+        if len(self._batch.rows) != len(states):
+            self._batch = self._make_batch(len(states))
+        self._batch.reset(np.arange(len(states)), np.where(active[:, None], states, 0.0))
+        drives = np.zeros((*self._planned.shape[:2], self.model.n_joints + 6))  # torques, tip force, base acceleration
+        drives[..., : len(self.limits)] = self._planned * self.limits
+        predicted = self._batch.roll(drives)
+        actions = np.zeros((len(states), len(self.limits)))
+        arms = np.flatnonzero(active)
+        for arm in arms.tolist():
+            actions[arm] = self._step(arm, predicted[0][arm], predicted[1][arm])
+        friction = self._compensation(actions[arms] * self.limits, states[arms], arms, len(states))
+        actions[arms] = np.clip(actions[arms] + friction / self.limits, -1.0, 1.0)
+        return actions
+
+    def _step(self, arm: int, states: Array, outputs: Array) -> Array:
+        """Return the action (n,) of an arm, from -1 to 1.
+
+        Args:
+            arm: index of the arm.
+            states: (N, 2 d) states predicted for the planned torques.
+            outputs: (N, OUTPUTS) outputs predicted for the planned torques.
+        """
+        plan, now, n = self._plans[arm], int(self._now[arm]), len(self.limits)
+        rows = np.minimum(now + np.arange(sum(MOVE_BLOCKS) + 1), len(plan.states) - 1)
+        planned, firsts = self._planned[arm], np.cumsum((0, *MOVE_BLOCKS[:-1]))
+        if np.isfinite(states).all():  # the prediction did not diverge
+            horizon = self._interpolate(plan, states[LINEARISATION_PERIOD])
+            residuals = self._residuals(horizon, states - plan.states[rows[1:]], outputs - plan.outputs[rows[1:]])
+            torque_residuals = np.add.reduceat(planned - plan.torques[rows[:-1]], firsts).ravel()
+            mean = (np.add.reduceat(planned, firsts) / np.array(MOVE_BLOCKS)[:, None]).ravel()
+            gradient = row_dots(horizon.jacobian, residuals) + torque_residuals
+            low, high = np.maximum(-1.0 - mean, -MAX_CHANGE), np.minimum(1.0 - mean, MAX_CHANGE)
+            changes = _solve_quadratic_program(self._daqp, horizon.curvature, gradient, low, high)
+            planned = np.clip(planned + np.repeat(changes.reshape(-1, n), MOVE_BLOCKS, axis=0), -1.0, 1.0)
+        self._planned[arm] = np.vstack([planned[1:], np.clip(plan.torques[rows[-1]], -1.0, 1.0)])
+        self._now[arm] += 1
+        return planned[0]
+
+    def _interpolate(self, plan: _Plan, state: Array) -> _Horizon:
+        """Return the linear prediction at the position along the path of an arm with a state (2 d,)."""
+        progress = row_dots(state[self.model.motor_columns] - plan.start, plan.displacement) / max(
+            row_dots(plan.displacement, plan.displacement), MIN_SQUARED_LENGTH
+        )
+        position = float(np.clip(progress, 0.0, 1.0)) * (LINEARISATION_POSTURES - 1)
+        lower = min(int(position), LINEARISATION_POSTURES - 2)
+        part = position - lower
+        return _Horizon(*(each[lower] + part * (each[lower + 1] - each[lower]) for each in plan.horizons))
+
+    def _residuals(self, horizon: _Horizon, states: Array, outputs: Array) -> Array:
+        """Return the outputs in the cost for deviations (N, 2 d) and (N, OUTPUTS) of states and outputs."""
+        weights, motors = self._weights, states[:-1, self.model.motor_columns]
+        running = (
+            outputs[:-1, TIP] / weights.tip,
+            outputs[:-1, TIP_VELOCITY] / weights.tip_speed,
+            motors / weights.motor,
+        )
+        return np.concatenate([np.hstack(running).ravel(), row_dots(horizon.terminal, states[-1])])
+
+
+def _solve_quadratic_program(daqp: ModuleType, curvature: Array, gradient: Array, low: Array, high: Array) -> Array:
+    """Return x (m,) between low and high with least x H x / 2 + g x, curvature H (m, m), gradient g; 0 on failure."""
+    changes, _, status, _ = daqp.solve(curvature, gradient, np.zeros((0, len(gradient))), high, low)
+    return np.array(changes) if status > 0 else np.clip(np.zeros(len(gradient)), low, high)
+
+
+ENTRY = ControllerEntry(
+    lambda plant: MPC(plant.model, plant.torque_limit, plant.period, plant.integration),
+    ("model", "true state"),
+    (),
+    "model predictive control within the torque limits",
+)

@@ -1,0 +1,327 @@
+"""References adapted to estimated parameters: slews along straight paths with replanned timing, and given paths."""
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from flexman_gym.agent.friction_compensation import friction_coefficients, friction_torques
+from flexman_gym.common.arrays import Array, IntArray, pad_rows
+from flexman_gym.model.model import Model
+from flexman_gym.model.statics import holding_torques, rest_state
+from flexman_gym.simulation.parameters import varied_model
+from flexman_gym.toolbox.controllers.references.trajectories import (
+    DeflectionCompensation,
+    QuasiStaticDeflection,
+    evaluate_polynomials,
+    plan_path,
+    quintic_coefficients,
+)
+
+PATH_POINTS = np.linspace(0.0, 1.0, 11)  # path parameters s at which deflections are tabulated
+TYPICAL_ACCELERATION = 0.5  # 1/s^2; second derivative of the path parameter at which deflections are computed
+CANDIDATE_DURATIONS = 0.2 * 1.045 ** np.arange(110)  # s; durations of slews that are tried, up to 24 s
+CHECKED_TIMES = np.linspace(0.0, 1.0, 17)[1:-1]  # fractions of a duration at which torques are checked
+REST = 0  # index of the layer of a table with the values at equilibrium
+ACCELERATION = 1  # index of the layer with the factors of s''
+SPEED_SQUARED = 2  # index of the layer with the factors of s'^2
+NEWTON_ITERATIONS = 2  # iterations for the corrected end of a path
+MAX_CACHED_PATHS = 1000  # tables of 20 kB each
+DIFFERENCE_STEP = 0.01  # s; step of central differences for the rates of deflected coordinates
+
+
+class _PathTables(NamedTuple):
+    """Deflections and torques at points of a path with parameter s, for p payloads, in three layers: REST, s'', s'^2.
+
+    Attributes:
+        coordinates: (p, 11, 3, d) deviations of the coordinates from the straight path of the motors.
+        torques: (p, 11, 3, n) motor torques, N m.
+    """
+
+    coordinates: Array
+    torques: Array
+
+
+class SlewReferences:
+    """Slews of b arms: path parameter s from 0 to 1, motor angles, deflected coordinates and torques.
+
+    The arm is deflected quasi-statically by inertia and gravity, without vibration. Deflections and torques are
+    rest + a(s) s'' + b(s) s'^2, tabulated for one or three payloads, interpolated by a parabola between the payloads,
+    and scaled by the estimated stiffness of each arm. Friction is part of the torques for which the timing is planned,
+    but not of the feed-forward, see `FrictionCompensation`.
+
+    Args:
+        model: model of the arm.
+        limits: (n,) torque limits, N m.
+        torque_fraction: fraction of the limits available to a slew; the remainder is reserved for feedback.
+        payloads: masses of one or three payloads, kg, from the lightest to the heaviest.
+
+    Attributes:
+        time_scaling: (b,) time derivative of the clock of each slew, 1; the path parameter is a function of this clock.
+        pace_rate: (b,) time derivative of the time scaling, 1/s.
+    """
+
+    state_fields = (
+        "start", "displacement", "shift", "coefficients", "start_time", "duration", "_coordinates", "_torques",
+        "_compliance", "_friction", "_adapted_coordinates", "_adapted_torques", "time_scaling", "pace_rate",
+    )  # fmt: skip
+
+    def __init__(self, model: Model, limits: Array, torque_fraction: float, payloads: Sequence[float]) -> None:
+        self.model, self._limits, self._torque_fraction = model, limits, torque_fraction
+        self._payloads = np.array(payloads, dtype=float)
+        self._models = [varied_model(model, payload_mass=mass) for mass in payloads]
+        self._compensation = DeflectionCompensation(model)
+        self._deflections = [QuasiStaticDeflection(each) for each in self._models]
+        n, d, p = model.n_joints, model.n_dof, len(payloads)
+        self.start, self.displacement, self.shift = np.zeros((0, n)), np.zeros((0, n)), np.zeros((0, n))
+        self._coordinates, self._torques = np.zeros((0, p, 11, 3, d)), np.zeros((0, p, 11, 3, n))
+        # interpolated to the estimated payloads
+        self._adapted_coordinates, self._adapted_torques = np.zeros((0, 11, 3, d)), np.zeros((0, 11, 3, n))
+        self.coefficients, self.start_time, self.duration = np.zeros((0, 6)), np.zeros(0), np.zeros(0)
+        self._compliance, self._friction = np.zeros((0, d)), np.zeros((0, 2, n))
+        self.time_scaling, self.pace_rate = np.zeros(0), np.zeros(0)
+        self._cached_paths: dict[tuple[bytes, bytes], list[_PathTables]] = {}
+        self._flexible = model.constants.motor >= 0
+        self._bent, self._motors = np.flatnonzero(self._flexible), model.motor_columns
+
+    def allocate(self, count: int) -> None:
+        """Allocate memory for `count` arms."""
+        for name in self.state_fields:
+            setattr(self, name, pad_rows(getattr(self, name), count))
+
+    def begin(self, arms: IntArray, start: Array, goal: Array) -> None:
+        """Start paths of the arms (r,) between motor angles (r, n) rad; `adapt` and `plan_timing` complete them."""
+        self.start[arms], self.displacement[arms], self.shift[arms] = start, goal - start, 0.0
+        self.time_scaling[arms], self.pace_rate[arms] = 1.0, 0.0
+        for arm, first, last in zip(arms, start, goal, strict=True):
+            key = first.tobytes(), last.tobytes()
+            if key not in self._cached_paths:
+                if len(self._cached_paths) >= MAX_CACHED_PATHS:
+                    self._cached_paths.clear()
+                self._cached_paths[key] = [self._tabulate(payload, first, last) for payload in range(len(self._models))]
+            for payload, tables in enumerate(self._cached_paths[key]):
+                self._coordinates[arm, payload], self._torques[arm, payload] = tables
+
+    def _tabulate(self, payload: int, start: Array, goal: Array) -> _PathTables:
+        """Return the tables of a path between motor angles (n,) rad, for the payload with the given index."""
+        model, deflection, displacement = self._models[payload], self._deflections[payload], goal - start
+        n = model.n_joints
+        coordinates, torques = np.zeros((11, 3, model.n_dof)), np.zeros((11, 3, n))
+        for row, progress in enumerate(PATH_POINTS):
+            posture = start + progress * displacement
+            rest, straight = rest_state(model, posture)[: model.n_dof], model.at_rest(posture[None])[0, : model.n_dof]
+            coordinates[row, REST], torques[row, REST] = rest - straight, holding_torques(model, posture)
+            links, zero = rest[:n], np.zeros(n)
+            at_rest, static_torque = deflection.at(rest, (links, zero, zero))
+            for layer, motion in (
+                (ACCELERATION, (links, zero, TYPICAL_ACCELERATION * displacement)),
+                (SPEED_SQUARED, (links, np.sqrt(TYPICAL_ACCELERATION) * displacement, zero)),
+            ):
+                deflected, torque = deflection.at(rest, motion)
+                coordinates[row, layer], torques[row, layer] = (
+                    (deflected - at_rest) / TYPICAL_ACCELERATION,
+                    (torque - static_torque) / TYPICAL_ACCELERATION,
+                )
+        return _PathTables(coordinates, torques)
+
+    def adapt(self, arms: IntArray, parameters: Mapping[str, Array]) -> None:
+        """Adapt the references of the arms (r,) to estimated parameters (b, ...), see `Estimate`."""
+        if not len(arms):
+            return
+        weights, self._compliance[arms] = _adaptation_factors(self.model, self._payloads, parameters, arms)
+        self._friction[arms] = friction_coefficients(self.model, parameters, arms)
+        for adapted, table in ((self._adapted_coordinates, self._coordinates), (self._adapted_torques, self._torques)):
+            adapted[arms] = (weights[:, :, None, None, None] * table[arms]).sum(axis=1)
+        if self.model.constants.gravity.any():
+            self._correct_goal(arms)
+
+    def _correct_goal(self, arms: IntArray) -> None:
+        """Shift the ends of the paths of the arms (r,) so that the tips come to rest where the nominal arm would."""
+        model, d = self.model, self.model.n_dof
+        for arm in arms:
+            goal = self.start[arm] + self.displacement[arm]
+            target = rest_state(model, goal)[:d]
+            for _ in range(NEWTON_ITERATIONS):
+                sag = self._compliance[arm] * self._adapted_coordinates[arm, -1, REST]
+                deflected = model.at_rest((goal + self.shift[arm])[None])[0, :d] + sag
+                self.shift[arm] += self._compensation.rotation(target, deflected)
+
+    def payloads(self, parameters: Mapping[str, Array], arms: IntArray) -> Array:
+        """Return the estimated payloads (r,) of the arms (r,), kg, see `Estimate`; without estimate the nominal one."""
+        return _estimated_payloads(self.model, parameters, arms)
+
+    def plan_timing(self, arms: IntArray, times: Array, first: bool) -> None:
+        """Plan the remaining motion of the arms (r,) along their paths, as fast as the torque limits allow.
+
+        Args:
+            arms: (r,) indices of arms whose references have been adapted, see `adapt`.
+            times: (r,) present time of each arm, s.
+            first: True for a start at rest at the beginning of the paths; False to continue the current motion.
+        """
+        if not len(arms):
+            return
+        initial = (np.zeros((3, len(arms))) if first else np.array(self.at(times, arms)))[:, :, None]
+        candidates = quintic_coefficients(initial[0], initial[1], initial[2], CANDIDATE_DURATIONS.astype(float))
+        checked = CANDIDATE_DURATIONS[:, None] * CHECKED_TIMES
+        progress, speeds, accelerations = evaluate_polynomials(candidates[:, :, None], checked)
+        torques = self._interpolate(self._adapted_torques, arms, progress, accelerations, speeds)
+        if self._friction[arms].any():
+            rates = speeds[..., None] * self.displacement[arms][:, None, None]
+            torques += friction_torques(self.model, rates, self._friction[arms][:, None, None])
+        ratios = (np.abs(torques) / self._limits).max(axis=(2, 3))
+        feasible = ratios <= self._torque_fraction
+        chosen = np.where(feasible.any(axis=1), feasible.argmax(axis=1), ratios.argmin(axis=1))
+        self.coefficients[arms] = candidates[np.arange(len(arms)), chosen]
+        self.start_time[arms], self.duration[arms] = times, CANDIDATE_DURATIONS[chosen]
+
+    def _interpolate(self, table: Array, arms: IntArray, progress: Array, accelerations: Array, speeds: Array) -> Array:
+        """Return rest + a s'' + b s'^2, (r, ..., m), at path parameters (r, ...).
+
+        Axes of the table (b, 11, 3, m): arm, point of the path, layer (REST, s'' or s'^2), and m table entries.
+        """
+        at = np.minimum(np.maximum(progress, 0.0), 1.0) * (len(PATH_POINTS) - 1)
+        low = np.minimum(at.astype(np.int64), len(PATH_POINTS) - 2)
+        part, rows = (at - low)[..., None, None], _aligned(arms, progress)
+        layers = table[rows, low] * (1.0 - part) + table[rows, low + 1] * part
+        return (
+            layers[..., REST, :]
+            + layers[..., ACCELERATION, :] * accelerations[..., None]
+            + layers[..., SPEED_SQUARED, :] * (speeds[..., None] ** 2)
+        )
+
+    def at(self, times: Array, arms: IntArray) -> tuple[Array, Array, Array]:
+        """Return path parameters, speeds (1/s) and accelerations (1/s^2) of the arms (r,) at times (r, ...) s."""
+        arms = _aligned(arms, times)
+        elapsed, coefficients, duration = times - self.start_time[arms], self.coefficients[arms], self.duration[arms]
+        # a slew with replanned timing was moving before its start time; central differences need these times too
+        earliest = np.where(coefficients[..., 1] != 0.0, -DIFFERENCE_STEP * self.time_scaling[arms], 0.0)
+        clipped = np.minimum(np.maximum(elapsed, earliest), duration)
+        progress, speed, acceleration = evaluate_polynomials(coefficients, clipped)
+        over = elapsed >= duration
+        return np.where(over, 1.0, progress), np.where(over, 0.0, speed), np.where(over, 0.0, acceleration)
+
+    def motion(self, times: Array, torque_times: Array, arms: IntArray) -> tuple[Array, Array]:
+        """Return the reference states (r, 2 d) and the feed-forward torques without friction (r, n), N m.
+
+        All times are evaluated together: calls with small arrays take as long as the number of calls.
+
+        Args:
+            times: (r,) times of the states, s.
+            torque_times: (r,) times of the torques, s.
+            arms: (r,) indices.
+        """
+        steps = DIFFERENCE_STEP * self.time_scaling[arms]
+        together = np.stack([times - steps, times, times + steps, torque_times], axis=1)
+        progress, speed, acceleration = self.at(together, arms)
+        pace, pace_rate = self.time_scaling[arms, None], self.pace_rate[arms, None]
+        speed, acceleration = speed * pace, acceleration * pace**2 + speed * pace_rate
+        coordinates = self._deflected(arms, *(each[:, :3] for each in (progress, speed, acceleration)))
+        rates = (coordinates[:, 2] - coordinates[:, 0]) / (2.0 * DIFFERENCE_STEP)
+        torques = self._interpolate(self._adapted_torques, arms, progress[:, 3], acceleration[:, 3], speed[:, 3])
+        return np.concatenate([coordinates[:, 1], rates], axis=1), torques
+
+    def _deflected(self, arms: IntArray, progress: Array, speeds: Array, accelerations: Array) -> Array:
+        """Return the deflected coordinates (r, k, d) of arms (r,) at path parameters (r, k) and their derivatives."""
+        deflections = self._interpolate(self._adapted_coordinates, arms, progress, accelerations, speeds)
+        result = self._compliance[arms, None] * deflections
+        turned = self.displacement[arms] + self.shift[arms]
+        angles = self.start[arms, None] + progress[..., None] * turned[:, None]
+        result[..., self._motors] += angles
+        result[..., self._bent] += angles[..., self._flexible]
+        return result
+
+
+def _aligned(arms: IntArray, values: Array) -> IntArray:
+    """Return the indices (r, 1, ...) of arms (r,), which select an entry for each of the values (r, ...)."""
+    return arms.reshape(-1, *(1,) * (values.ndim - 1))
+
+
+def _estimated_payloads(model: Model, parameters: Mapping[str, Array], arms: IntArray) -> Array:
+    """Return the estimated payloads (r,) of the arms (r,), kg; the nominal payload if there is no estimate."""
+    if "payload_mass" in parameters:
+        return parameters["payload_mass"][arms]
+    return np.full(len(arms), model.constants.payload_mass[0])
+
+
+def _adaptation_factors(
+    model: Model, nodes: Array, parameters: Mapping[str, Array], arms: IntArray
+) -> tuple[Array, Array]:
+    """Return the factors by which the references of arms (r,) are adapted to estimated parameters.
+
+    Args:
+        model: nominal model of the arm.
+        nodes: (p,) payloads for which references are tabulated, kg.
+        parameters: name -> (b, ...) estimated physical parameters; a missing name stands for the nominal value.
+        arms: (r,) indices.
+
+    Returns:
+        Weights (r, p) of the Lagrange interpolation between the payloads; ratios (r, d) of the elastic deflections to
+        the deflections of the nominal arm.
+    """
+    masses = np.clip(_estimated_payloads(model, parameters, arms), nodes[0], nodes[-1])
+    weights = np.ones((len(arms), len(nodes)))
+    for i, node in enumerate(nodes):
+        for other in np.delete(nodes, i):
+            weights[:, i] *= (masses - other) / (node - other)
+    n, flexible = model.n_joints, model.constants.motor >= 0
+    compliance = np.ones((len(arms), model.n_dof))
+    if "joint_stiffness" in parameters:
+        stiffness = np.where(flexible, parameters["joint_stiffness"][arms], 1.0)
+        ratio = np.where(flexible, model.constants.joint_stiffness / stiffness, 1.0)
+        compliance[:, :n] = compliance[:, model.motor_columns] = ratio
+    if "link_stiffness_factor" in parameters:
+        links = np.repeat(np.arange(n), np.diff(model.constants.elastic_start))
+        compliance[:, model.n_dof - len(links) :] = 1.0 / parameters["link_stiffness_factor"][arms][:, links]
+    return weights, compliance
+
+
+class PathReferences:
+    """States and torques of b arms along given paths of their motors, planned for each payload, see `plan_path`.
+
+    Args:
+        model: model of the arm.
+        period: control period, s.
+        payloads: masses of one or three payloads, kg, from the lightest to the heaviest.
+    """
+
+    state_fields = ("_weights", "_compliance")
+
+    def __init__(self, model: Model, period: float, payloads: Sequence[float]) -> None:
+        self.model, self._period, self._payloads = model, period, np.array(payloads, dtype=float)
+        self._models = [varied_model(model, payload_mass=mass) for mass in payloads]
+        # arm -> states of the undeformed arm, and deviations from them and torques for each payload
+        self._plans: dict[int, tuple[Array, Array, Array]] = {}
+        self._weights, self._compliance = np.zeros((0, len(payloads))), np.zeros((0, model.n_dof))
+
+    def begin(self, arm: int, path: Array) -> None:
+        """Plan the motion of an arm along motor angles (T + 1, n) rad, one row per control period.
+
+        `adapt` must follow before the first call of `at`.
+        """
+        plans = [plan_path(model, path, self._period) for model in self._models]
+        straight = self.model.at_rest(path)
+        straight[:, self.model.n_dof :] = np.gradient(straight[:, : self.model.n_dof], self._period, axis=0)
+        deflections = np.array([plan.states - straight for plan in plans])
+        self._plans[arm] = straight, deflections, np.array([plan.torques for plan in plans])
+        for name in self.state_fields:
+            setattr(self, name, pad_rows(getattr(self, name), arm + 1))
+
+    def adapt(self, arms: IntArray, parameters: Mapping[str, Array]) -> None:
+        """Adapt the references of the arms (r,) to estimated parameters (b, ...), see `Estimate`."""
+        if not len(arms):
+            return
+        self._weights[arms], self._compliance[arms] = _adaptation_factors(self.model, self._payloads, parameters, arms)
+
+    def at(self, times: Array, arms: IntArray) -> tuple[Array, Array]:
+        """Return the states (r, 2 d) at times (r,) s, and the torques (r, n) N m of the following period.
+
+        The torques are those of the arms without friction.
+        """
+        states, torques = [], []
+        for period, arm in zip((times / self._period).round().astype(int).tolist(), arms.tolist(), strict=True):
+            straight, deflections, forward = self._plans[arm]
+            row, weights = min(period, len(straight) - 1), self._weights[arm, :, None]
+            deflection = (weights * deflections[:, row]).sum(axis=0) * np.tile(self._compliance[arm], 2)
+            states.append(straight[row] + deflection)
+            torques.append((weights * forward[:, min(period, forward.shape[1] - 1)]).sum(axis=0))
+        return np.array(states), np.array(torques)

@@ -1,0 +1,254 @@
+"""Tracking control: feed-forward and scheduled LQR gains along a reference, and output feedback with an observer."""
+
+import warnings
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from flexman_gym.agent.controller import Controller, EpisodeInfo, Plant, Readings
+from flexman_gym.agent.friction_compensation import FrictionCompensation
+from flexman_gym.common.arrays import Array, BoolArray, IntArray, pad_rows, row_dots
+from flexman_gym.toolbox.controllers.lqr import FEEDFORWARD_FRACTION, HOLDING_FACTOR, CostWeights, GainTable
+from flexman_gym.toolbox.controllers.observers.observer import Estimate, Observer
+from flexman_gym.toolbox.controllers.reference_shaping import ReferenceShaping
+from flexman_gym.toolbox.controllers.references.adaptive_references import PathReferences, SlewReferences
+
+RETIMING_PERIODS = (6, 12, 20, 30, 45)  # control periods since the start of an episode at which timing is replanned
+LAST_RETIMING = 0.75  # path parameter beyond which the timing is not replanned
+RETURN_TIME = 1.0  # s; time for which a model must explain the readings before a fallback controller ends
+ADAPTATION_INTERVAL = 5  # control periods between two adaptations of references to the estimates
+
+
+class Tracking:
+    """Tracking law of b arms: torque = feed-forward - K (state - reference).
+
+    The gains are scheduled by posture and payload. Slews are straight lines in motor space with quintic timing within
+    95 % of the torque limits. While parameter estimates converge, the timing of the remaining path is replanned from
+    the current reference. An arm that starts at its goal is held with a larger cost of the tip deviation. Gains and
+    feed-forward are those of the arm without friction; friction is compensated, see `FrictionCompensation`.
+
+    Args:
+        plant: plant model with its uncertain parameters.
+        weights: cost weights; None for `CostWeights.default`.
+        retimed: True to replan the timing of slews with new parameter estimates.
+
+    Attributes:
+        slews: references of the arms.
+        shaping: reference shaping by an agent; None for no reference shaping.
+    """
+
+    state_fields = ("slews", "_paths", "_ages", "_holding", "_goal", "_planned", "shaping")
+
+    def __init__(self, plant: Plant, weights: CostWeights | None = None, retimed: bool = True) -> None:
+        model, self._retimed = plant.model, RETIMING_PERIODS if retimed else ()
+        weights = weights or CostWeights.default(model)
+        low, high = plant.unknown.get("payload_mass", (model.constants.payload_mass[0],) * 2)
+        self._payloads = (low, 0.5 * (low + high), high) if high > low else (low,)
+        self.limits, self._period = np.array(plant.torque_limit), plant.period
+        self._paths = PathReferences(model, plant.period, self._payloads)
+        self.slews = SlewReferences(model, self.limits, FEEDFORWARD_FRACTION, self._payloads)
+        tight = weights._replace(tip=HOLDING_FACTOR * weights.tip)
+        self._gains = [GainTable(model, self.limits, plant.period, each, self._payloads) for each in (weights, tight)]
+        self._motors = model.motor_columns
+        self._compensation = FrictionCompensation(plant)
+        self.shaping: ReferenceShaping | None = None
+        self._planned = np.zeros(0, dtype=bool)  # flags of arms with a plan of this control period
+        self._ages, self._holding = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=bool)
+        self._goal, self._on_path = np.zeros((0, model.n_joints)), np.zeros(0, dtype=bool)
+
+    def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
+        """Start new episodes, whose references are planned at the first state estimate; see `Controller.reset`."""
+        for name in ("_ages", "_holding", "_goal", "_on_path", "_planned"):
+            setattr(self, name, pad_rows(getattr(self, name), count))
+        self.slews.allocate(count)
+        self._planned[arms] = False
+        self._ages[arms], self._goal[arms], self._on_path[arms] = 0, episode.goal, episode.reference is not None
+        self._holding[arms] = (episode.start == episode.goal).all(axis=1) & (episode.reference is None)
+        if episode.reference is not None:
+            for arm, path in zip(arms.tolist(), episode.reference, strict=True):
+                self._paths.begin(arm, path)
+        for table in self._gains:
+            table.save()
+
+    def holding_gain(self, posture: Array) -> Array:
+        """Return the gain K (n, 2 d) of an arm that holds motor angles (n,) rad with the nominal payload.
+
+        Raises:
+            ValueError: for a model with friction, whose compensation needs a simulation in every control period.
+        """
+        self._compensation.check_none("lqg")
+        payload = self.slews.payloads({}, np.zeros(1, dtype=np.int64))
+        result: Array = self._gains[1](np.zeros(1, dtype=np.int64), posture[None], payload)[0]
+        return result
+
+    def restart(self, arms: IntArray) -> None:
+        """Plan the slews of arms (r,) anew, from rest at their next state estimate; paths continue."""
+        arms = arms[~self._on_path[arms]]
+        self._ages[arms], self._planned[arms] = 0, False
+        if self.shaping:
+            self.shaping.reset(arms, len(self._ages))
+
+    def torques(self, estimate: Estimate, active: BoolArray) -> Array:
+        """Return the torques (b, n) within the limits, N m, and advance by a control period; 0 for inactive arms."""
+        arms, result = np.flatnonzero(active), np.zeros((len(active), len(self.limits)))
+        if not len(arms):
+            return result
+        self.plan(estimate, active)
+        if self.shaping:
+            self.shaping.update_time_scaling(arms)
+        now = self.clock(estimate, arms)
+        states, (reference, forward) = estimate.states[arms], self._reference(now, arms)
+        payloads = self.slews.payloads(estimate.parameters, arms)
+        gains = np.zeros((len(arms), len(self.limits), states.shape[1]))
+        for table, chosen in zip(self._gains, (~self._holding[arms], self._holding[arms]), strict=True):
+            if chosen.any():
+                gains[chosen] = table(arms[chosen], states[chosen][:, self._motors], payloads[chosen])
+        command = forward - row_dots(gains, (states - reference)[:, None])
+        if self.shaping:
+            command += self.shaping.advance(arms, self.slews.at(now, arms)[0])
+        command += self._compensation(command, states, arms, len(active), estimate.parameters)
+        result[arms] = np.clip(command, -self.limits, self.limits)
+        self._ages += active
+        self._planned[arms] = False
+        return result
+
+    def clock(self, estimate: Estimate, arms: IntArray) -> Array:
+        """Return the times (r,), s, of the slew clocks of arms (r,) when torques commanded now take effect."""
+        now = (self._ages[arms] + estimate.lead[arms]).astype(float) * self._period
+        return now + self.shaping.clock_offset[arms] if self.shaping else now
+
+    def plan(self, estimate: Estimate, active: BoolArray) -> None:
+        """Plan the references of the active arms (b,), once per control period; called by `torques` if necessary."""
+        due = active & ~self._planned
+        if due.any():
+            arms = np.flatnonzero(due)
+            self._plan(arms, estimate)
+            self._planned |= due
+
+    def reference(self, estimate: Estimate, arms: IntArray) -> Array:
+        """Return the reference states (r, 2 d) of arms (r,) at the time at which torques commanded now take effect."""
+        return self._reference(self.clock(estimate, arms), arms)[0]
+
+    def _reference(self, now: Array, arms: IntArray) -> tuple[Array, Array]:
+        """Return reference states (r, 2 d) at times (r,) s, and torques (r, n) of the following period."""
+        moving = self._on_path[arms]
+        if moving.all():
+            return self._paths.at(now, arms)
+        middle = now + 0.5 * self._period * self.slews.time_scaling[arms]
+        states, torques = self.slews.motion(now, middle, arms)
+        if self.shaping:
+            states += self.shaping.offset_states(arms)
+        if moving.any():
+            states[moving], torques[moving] = self._paths.at(now[moving], arms[moving])
+        return states, torques
+
+    def _plan(self, arms: IntArray, estimate: Estimate) -> None:
+        """Plan the references of arms (r,) at the start of an episode, later adapt them at fixed intervals."""
+        due, on_path = self._ages[arms] % ADAPTATION_INTERVAL == 0, self._on_path[arms]
+        self._paths.adapt(arms[on_path & due], estimate.parameters)
+        arms, due = arms[~on_path], due[~on_path] & (self._ages[arms[~on_path]] > 0)
+        first = arms[self._ages[arms] == 0]
+        if len(first):
+            start = np.where(self._holding[first, None], self._goal[first], estimate.states[first][:, self._motors])
+            self.slews.begin(first, start, self._goal[first])
+            self.slews.adapt(first, estimate.parameters)
+            self.slews.plan_timing(first, self.clock(estimate, first), first=True)
+        retimed = arms[np.isin(self._ages[arms], self._retimed)] if estimate.parameters else arms[:0]
+        self.slews.adapt(np.union1d(arms[due], retimed), estimate.parameters)
+        if len(retimed):
+            retimed = retimed[self.slews.at(self.clock(estimate, retimed), retimed)[0] < LAST_RETIMING]
+            self.slews.plan_timing(retimed, self.clock(estimate, retimed), first=False)
+
+
+class OutputFeedback:
+    """Output feedback: an observer estimates the state, and a tracking law computes torques from it.
+
+    If no model of the observer explains the readings of an arm, a fallback controller acts until the estimated model
+    has explained them for RETURN_TIME. The slew is then planned anew from where the arm is.
+
+    Args:
+        observer: observer of states and parameters. Its optional members `inconsistent` and `consistent`, (b,) flags,
+            mark arms whose readings no model of the observer explains, and arms whose readings its estimated model
+            explains; without the latter a fallback controller acts until the end of the episode.
+        law: tracking law.
+        fallback: controller without a model, such as a PD; None for no fallback.
+    """
+
+    state_fields = ("observer", "law", "fallback", "_fallback_active", "_consistent_periods", "_updated", "_latest")
+
+    def __init__(self, observer: Observer, law: Tracking, fallback: Controller | None = None) -> None:
+        self.observer, self.law, self.fallback = observer, law, fallback
+        self.sensors = (*observer.sensors, *(fallback.sensors if fallback else ()))
+        self._fallback_active, self._updated = np.zeros(0, dtype=bool), np.zeros(0, dtype=bool)
+        self._consistent_periods, self._return_periods = np.zeros(0, dtype=np.int64), 0
+        self._latest: dict[str, Any] = {}  # estimate of the arms updated in this control period
+
+    @property
+    def estimates(self) -> Mapping[str, Array]:
+        """Estimates of the observer, name -> (b, ...)."""
+        return getattr(self.observer, "estimates", {})
+
+    def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
+        """Start new episodes; arguments as in `Controller.reset`."""
+        self.observer.reset(arms, episode, count)
+        self.law.reset(arms, episode, count)
+        if self.fallback:
+            self.fallback.reset(arms, episode, count)
+        for name in ("_fallback_active", "_consistent_periods", "_updated"):
+            setattr(self, name, pad_rows(getattr(self, name), count))
+            getattr(self, name)[arms] = False
+        self._return_periods = round(RETURN_TIME / episode.period)
+
+    def update_estimate(self, readings: Readings, applied: Array, active: BoolArray) -> Estimate:
+        """Return the estimate for the active arms (b,); the observer is updated once per control period."""
+        due = active & ~self._updated
+        if self._latest and not due.any():
+            return Estimate(**self._latest)
+        estimate = self.observer.estimate(readings, applied, due)
+        self._fallback_active |= _inconsistent(self.observer)
+        self._end_fallback(due)
+        if self._updated.any():
+            states = np.where(due[:, None], estimate.states, self._latest["states"])
+            estimate = estimate._replace(states=states)
+        self._latest, self._updated = estimate._asdict(), self._updated | due
+        return estimate
+
+    def _end_fallback(self, due: BoolArray) -> None:
+        """Return to the tracking law the arms (b,) whose readings have been explained long enough."""
+        if not self._fallback_active.any() or not hasattr(self.observer, "consistent"):
+            return
+        explained = self._fallback_active & self.observer.consistent
+        self._consistent_periods = np.where(explained, self._consistent_periods + due, 0)
+        returned = np.flatnonzero(due & (self._consistent_periods >= self._return_periods))
+        self._fallback_active[returned], self._consistent_periods[returned] = False, 0
+        self.law.restart(returned)
+
+    def prepare(self, applied: Array, active: BoolArray) -> None:
+        """Let the observer compute what does not depend on the next readings; see `Controller`."""
+        if hasattr(self.observer, "prepare"):
+            self.observer.prepare(applied, active & ~self._updated)
+
+    def act(self, readings: Readings, applied: Array, active: BoolArray) -> Array:
+        """Return the actions (b, n), fractions of the torque limits."""
+        estimate = self.update_estimate(readings, applied, active)
+        self._updated &= ~active
+        torques = self.law.torques(estimate, active & ~self._fallback_active) - estimate.disturbance
+        result = np.clip(torques / self.law.limits, -1.0, 1.0)
+        if self.fallback and self._fallback_active.any():
+            fallback = np.asarray(self.fallback.act(readings, applied, active), dtype=float)
+            result = np.where(self._fallback_active[:, None], fallback, result)
+        if not self._updated.any():
+            self._latest = {}
+        return result
+
+
+def _inconsistent(observer: Observer) -> BoolArray | bool:
+    """Return the flags (b,) `inconsistent` of an observer; False for an observer without this attribute."""
+    if hasattr(observer, "wrong") and not hasattr(observer, "inconsistent"):
+        message = f"{type(observer).__name__}.wrong is deprecated; name it inconsistent"
+        warnings.warn(message, DeprecationWarning, stacklevel=4)
+        former: BoolArray | bool = observer.wrong
+        return former
+    result: BoolArray | bool = getattr(observer, "inconsistent", False)
+    return result

@@ -1,0 +1,252 @@
+"""Optimisation of PD gains with stability margins, and of minimum-time slews, for an environment."""
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import NamedTuple
+
+import gymnasium as gym
+import numpy as np
+
+from flexman_gym.agent.base_controllers import make_base
+from flexman_gym.agent.pd import PD, stability_limit
+from flexman_gym.common.arrays import Array
+from flexman_gym.common.checks import value_error
+from flexman_gym.common.parallel import Workers, parallel_map
+from flexman_gym.envs.config.configuration import Configuration
+from flexman_gym.envs.config.fidelity import resolve_fidelity
+from flexman_gym.envs.config.specification import make_plant
+from flexman_gym.envs.episodes import Episodes
+from flexman_gym.envs.vector_env import compile_kernels
+from flexman_gym.evaluation.agents import split_interface
+from flexman_gym.evaluation.metrics import METRICS
+from flexman_gym.evaluation.rollouts import rollout
+from flexman_gym.model.model import Model
+from flexman_gym.simulation.batch import Batch
+from flexman_gym.toolbox.controllers.lqr import LQR
+from flexman_gym.toolbox.controllers.margins import Margins, SampledLoop, has_margins, margins, sampled_loops
+from flexman_gym.toolbox.controllers.references.optimised_slews import (
+    OptimisedController,
+    SingleShooting,
+    SlewTable,
+)
+
+MIN_MARGINS = Margins(2.0, 30.0)  # 1, degrees; smallest gain margin and phase margin of candidate gains
+POSTURES = 4  # number of goal postures at which the margins are checked
+STIFFNESS_RANGE = (0.01, 25.0)  # torque limits per radian; range of the drawn stiffness
+MIN_DAMPING_SHARE = 0.05  # dimensionless; smallest drawn damping as a fraction of the largest
+LOCAL_DEVIATIONS = np.geomspace(0.5, 0.1, 8)  # standard deviation of log(gains) in each round around the best gains
+BLOCK_CANDIDATES = 15  # number of candidates evaluated in one rollout
+DRAWS = 1000  # largest number of draws for each candidate
+
+
+@dataclass(frozen=True)
+class TunedGains:
+    """Gains of a PD controller for n joints.
+
+    Attributes:
+        stiffness: (n,) N m/rad.
+        damping: (n,) N m s/rad.
+        reward: mean return of the episodes; the return of an episode is the undiscounted sum of its rewards.
+        margins: stability margins: gain margin (dimensionless) and phase margin (degrees).
+    """
+
+    stiffness: tuple[float, ...]
+    damping: tuple[float, ...]
+    reward: float
+    margins: Margins
+
+    @property
+    def gains(self) -> dict[str, tuple[float, ...]]:
+        """Stiffness and damping by name, for `gym.make(..., base="pd", gains=...)`."""
+        return {"stiffness": self.stiffness, "damping": self.damping}
+
+
+def tune(
+    environment: str | Configuration, first: int = 60, around: int = 30, episodes: int = 8, seed: int = 0,
+    margin: bool = True, workers: Workers | int = 1,
+) -> TunedGains:  # fmt: skip
+    """Tune the gains of the PD controller of an environment by random search for the largest mean return.
+
+    The first round draws candidates at random; eight further rounds draw candidates around the best one so far. All
+    candidates are evaluated on the same episodes. Stiffness is drawn between 0.01 and 25 torque limits per radian, and
+    damping between 0.05 and 1 times the largest damping, both uniformly on a logarithmic scale. The largest damping is
+    half the stability limit of the sampled loop with the largest delay of the environment.
+
+    Args:
+        environment: id, id and condition such as "FlexRRR-v0/delay", path of a file, or Configuration.
+        first: number of candidates of the first round, drawn over the whole range.
+        around: number of candidates of each further round, drawn around the best candidate so far.
+        episodes: number of episodes on which each candidate is evaluated.
+        seed: seed of the search.
+        margin: True to require of each candidate a gain margin of 2 and a phase margin of 30 degrees, for the sampled
+            loop with the largest delay at goals of the environment.
+        workers: processes or cluster for the simulations, see `common.parallel.Workers`, or a number of processes.
+
+    Returns:
+        Stiffness (n,) N m/rad, damping (n,) N m s/rad, margins (1 and degrees) and the mean return of the episodes.
+
+    Raises:
+        ValueError: for an unknown environment, or if too few draws have the required margins.
+
+    Examples:
+        >>> import gymnasium as gym
+        >>> found = fm.tune("FlexOne-v0", first=2, around=1, episodes=1)
+        >>> found.margins.gain >= 2.0, found.margins.phase >= 30.0
+        (True, True)
+        >>> env = gym.make("FlexOne-v0", base="pd", gains=found.gains)
+    """
+    environment = Configuration.find(environment)
+    random, loops = np.random.default_rng(seed), _motor_loops(environment)
+    limits = np.array(environment.torque_limit)
+    rotors = np.array([joint.rotor_inertia for joint in environment.arm.joints])
+    max_damping = stability_limit(environment.max_delay) * rotors / (MIN_MARGINS.gain * environment.control_period)
+    low = np.log(np.concatenate([STIFFNESS_RANGE[0] * limits, MIN_DAMPING_SHARE * max_damping]))
+    high = np.log(np.concatenate([STIFFNESS_RANGE[1] * limits, max_damping]))
+    checked_loops = loops if margin else []
+    gains = _draw_gains(checked_loops, first, lambda: random.uniform(low, high))
+    returns = _gain_returns(environment, gains, episodes, workers)
+    for deviation in LOCAL_DEVIATIONS:
+        best = np.log(gains[np.argmax(returns)])
+        draw = partial(_draw_near, random, best, float(deviation), low, high)
+        near = _draw_gains(checked_loops, around, draw)
+        returns = np.append(returns, _gain_returns(environment, near, episodes, workers))
+        gains = np.vstack([gains, near])
+    stiffness, damping = np.split(gains[np.argmax(returns)], 2)
+    reached = margins(loops, stiffness, damping)
+    return TunedGains(tuple(stiffness.tolist()), tuple(damping.tolist()), float(returns.max()), reached)
+
+
+def _draw_near(random: np.random.Generator, best: Array, deviation: float, low: Array, high: Array) -> Array:
+    return np.clip(best + deviation * random.standard_normal(len(best)), low, high)
+
+
+def _motor_loops(environment: Configuration) -> list[SampledLoop]:
+    """Return the sampled loops of the motors, with the largest delay, at the goals of episodes with seeds 0 to 3.
+
+    With Coulomb friction, each posture has a loop for every set of motors that stick while the rest slide, see
+    `control.margins`.
+    """
+    postures, model = goal_postures(environment)
+    timing = environment.control_period, environment.max_delay, environment.drive_bandwidth
+    return [loop for posture in postures for loop in sampled_loops(model, posture, *timing)]
+
+
+def goal_postures(environment: Configuration) -> tuple[Array, Model]:
+    """Return the goals (4, n), rad, of episodes with seeds 0 to 3, and the model of the environment."""
+    without_interface = split_interface(environment)[0]  # a base controller could need the gains that are being tuned
+    venv = gym.make_vec(environment.id, POSTURES, "vector_entry_point", **without_interface.keywords())
+    venv.reset(seed=list(range(POSTURES)))  # type: ignore[arg-type]
+    episodes = venv.unwrapped.episodes  # type: ignore[attr-defined]
+    postures, model = episodes.view.goal_angles.copy(), episodes.batch.model
+    venv.close()
+    return postures, model
+
+
+def _draw_gains(loops: Sequence[SampledLoop], count: int, draw: Callable[[], Array]) -> Array:
+    """Return gains (count, 2 n) with MIN_MARGINS in all loops; `draw` returns logarithms of gains (2 n,)."""
+    result: list[Array] = []
+    for _ in range(DRAWS * count):
+        gains = np.exp(draw())
+        stiffness, damping = np.split(gains, 2)
+        if has_margins(loops, stiffness, damping, MIN_MARGINS):
+            result.append(gains)
+            if len(result) == count:
+                return np.array(result)
+    allowed = f"{count} with a gain margin of {MIN_MARGINS.gain:g} and a phase margin of {MIN_MARGINS.phase:g} degrees"
+    raise value_error("gains", f"{len(result)} of {DRAWS * count} drawn", allowed)
+
+
+def _gain_returns(environment: Configuration, gains: Array, episodes: int, workers: Workers | int = 1) -> Array:
+    """Return the mean return (c,) of c candidate gains (c, 2 n) over the episodes with seeds 0 to `episodes` - 1."""
+    parts = [(environment, gains[i : i + BLOCK_CANDIDATES], episodes) for i in range(0, len(gains), BLOCK_CANDIDATES)]
+    return np.concatenate(parallel_map(_block_returns, parts, workers, prepare=compile_kernels))
+
+
+def _block_returns(block: tuple[Configuration, Array, int]) -> Array:
+    """Return the mean returns (c,) in one rollout of environment, candidate gains (c, 2 n) and number of episodes."""
+    environment, gains, episodes = block
+    stiffness, damping = np.split(np.repeat(gains, episodes, axis=0), 2, axis=1)
+    zeros, model = [0.0] * (gains.shape[1] // 2), resolve_fidelity(environment).model
+    base = make_base({"kind": "pd", "stiffness": zeros, "damping": zeros}, make_plant(environment, model))
+    assert isinstance(base, PD)
+    base.stiffness, base.damping = stiffness, damping  # (b, n) gains of each arm, which settings cannot express
+    rewards = rollout(base, environment, np.tile(np.arange(episodes), len(gains)).tolist()).rewards
+    return np.nansum(rewards, axis=1).reshape(len(gains), episodes).mean(axis=1)
+
+
+SETTLING = METRICS["settling_time"]
+
+
+class _SlewResult(NamedTuple):
+    """Result of the optimisation of one slew.
+
+    Attributes:
+        seed: seed of the episode.
+        settling_time: settling time of the optimised slew, s.
+        tracking: settling time of the agent "lqr-tracking" in the same episode, s.
+        cpu_time: CPU time of the optimisation, s.
+    """
+
+    seed: int
+    settling_time: float
+    tracking: float
+    cpu_time: float
+
+
+def empty_slew_table(environment: Configuration) -> SlewTable:
+    """Return a table without slews for the arm of an environment."""
+    model, method, step, _ = resolve_fidelity(environment)
+    metadata = {
+        "environment": environment.to_plain(),
+        "model": f"{model.n_dof} coordinates, method {getattr(method, 'name', method)}, step {step:.9g} s",
+    }
+    fingerprint = SlewTable.fingerprint(model, np.array(environment.torque_limit), environment.control_period)
+    return SlewTable(metadata, fingerprint)
+
+
+def optimise_slews(environment: Configuration, seeds: Sequence[int], table: SlewTable) -> Iterator[_SlewResult]:
+    """Optimise the slews of episodes that a table lacks, and add them to the table.
+
+    The settling time of a slew is measured by simulating its torques in the environment.
+
+    Args:
+        environment: environment of the slews, without randomisation and disturbances.
+        seeds: seeds of the episodes.
+        table: table of slews of this environment.
+
+    Yields:
+        _SlewResult: seed, settling times (s) and CPU time (s) of a slew.
+
+    Raises:
+        ValueError: for an environment with moving goals, randomisation or disturbances, and for the table of a
+            different environment.
+    """
+    missing = [seed for seed in seeds if seed not in table.found]
+    if environment.task.moves or environment.disturbances is not None:
+        raise value_error("environment", environment.id, "one with fixed goals, without randomisation and disturbances")
+    if table.about.get("environment") != environment.to_plain():
+        raise value_error("table", table.about.get("environment"), "a table of this environment, or a new file")
+    if not missing:
+        return
+    limits, period = environment.torque_limit, environment.control_period
+    model, method, step, _ = resolve_fidelity(environment)
+    regulator, replay = LQR(model, limits, period), OptimisedController(table, model, limits, period)
+
+    def make_batch(arms: int) -> Batch:
+        return Batch(model, method, step, period, arms=arms)
+
+    episodes: list[Episodes] = []
+    tracked = rollout("lqr-tracking", environment, missing, episodes.append)
+    parameters = episodes[0].view.episode_parameters
+    draws = np.stack([parameters["start"], parameters["goal_angles"]], axis=1)
+    for seed, start_and_goal, record in zip(missing, draws, tracked.records, strict=True):
+        start = time.process_time()
+        slew = SingleShooting(regulator, make_batch, record.band, environment.limits.rate, *start_and_goal).search()
+        cpu_time, settling = time.process_time() - start, np.inf
+        if slew is not None:
+            table.found[seed] = start_and_goal, slew, settling
+            settling = SETTLING.evaluate(rollout(replay, environment, [seed]).records)
+            table.found[seed] = start_and_goal, slew, settling
+        yield _SlewResult(seed, settling, SETTLING.evaluate([record]), cpu_time)

@@ -1,0 +1,1 @@
+"""Agents outside the simulation: real-time machines, C code and MATLAB."""

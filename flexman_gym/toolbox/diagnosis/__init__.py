@@ -1,0 +1,1 @@
+"""Diagnosis of the tip error after arrival."""

@@ -1,0 +1,1 @@
+"""Safety filter: torques that keep the limits of an arm."""

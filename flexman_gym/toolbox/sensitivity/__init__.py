@@ -1,0 +1,1 @@
+"""Derivatives of simulations and episodes, and design of an arm by them."""

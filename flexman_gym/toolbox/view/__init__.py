@@ -1,0 +1,1 @@
+"""Pictures, plots, videos, and the live and replay pages."""

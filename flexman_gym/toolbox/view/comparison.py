@@ -1,0 +1,206 @@
+"""Episodes side by side: frames of the arms, and a strip chart of their tip errors below."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flexman_gym.common.arrays import Array, Vector
+from flexman_gym.common.checks import value_error
+from flexman_gym.common.plot_style import BLUE, DARK, GREEN, LIGHT, MIDDLE, RED, VIOLET, new_figure
+from flexman_gym.model.deformation import curves
+from flexman_gym.simulation.episode import Episode
+from flexman_gym.toolbox.view.frames import FramePainter
+from flexman_gym.toolbox.view.overlay import WARNING, describe_frame, font_size, write_text
+
+COLOURS = (BLUE, RED, GREEN, VIOLET)
+MAX_FRAMES = 3000  # frames of a video, 8 GB of 1280 x 720 pixels
+VIEW_STATES, LINK_POINTS = 120, 4  # number of states of an episode, and of points on a link, that the camera shows
+STRIP_SHARE = 0.24  # height of the strip chart / height of the picture
+VISIBLE_SHARE, MAX_GAIN = 0.25, 100.0  # largest drawn displacement by the links / reach; largest suggested gain
+LINE = 1.45  # distance of two lines of text / height of the letters
+DPI = 100.0  # pixels per inch of the strip chart
+Picture = NDArray[np.uint8]
+
+
+def side_by_side(
+    episodes: Sequence[Episode],
+    size: tuple[int, int] = (480, 360),
+    rate: float = 10.0,
+    seconds: float = np.inf,
+    hold: float = 0.0,
+    gain: float | Vector = 1.0,
+) -> list[Picture]:
+    """Return frames (height, width, 3), uint8, of episodes side by side, with equal camera directions and scales.
+
+    The names of the agents and their tip errors stand above the arms. If the episodes have targets, a strip chart below
+    shows the tip errors up to the time of the frame. The violet line is the path of the tip since the start.
+
+    Args:
+        episodes: at least one episode.
+        size: width and height of the picture, pixels.
+        rate: frames per second.
+        seconds: duration of the motion that is shown, s.
+        hold: time for which the last frame is repeated, s.
+        gain: magnification of the deflection of the links, or of links and joints, see `FramePainter`.
+
+    Raises:
+        ImportError: for episodes with targets without Matplotlib.
+        ValueError: for more than MAX_FRAMES frames.
+    """
+    if not 1 <= len(episodes) <= len(COLOURS):
+        raise value_error("episodes", len(episodes), f"1 to {len(COLOURS)} of them")
+    end = min(max(float(each.time[-1]) for each in episodes), seconds)
+    if not end * rate <= MAX_FRAMES:
+        raise value_error("seconds", end, f"at most {MAX_FRAMES / rate:g} (s), {MAX_FRAMES} frames")
+    panels = _Panels(episodes, size, end, gain)
+    times = np.append(np.arange(0.0, end - 0.5 / rate, 1.0 / rate), end)
+    frames = [panels.paint(time) for time in times]
+    return frames + frames[-1:] * round(hold * rate)
+
+
+def suggested_gain(episodes: Sequence[Episode]) -> float:
+    """Return a magnification at which the deflection of the links is seen and the arms stay in the picture.
+
+    The largest displacement of a tip by the deflection of the links is drawn as at most VISIBLE_SHARE of the reach.
+
+    Args:
+        episodes: at least one episode.
+
+    Returns:
+        1, 2, 5, 10, ... up to MAX_GAIN; 1 for rigid links.
+    """
+    gains = [MAX_GAIN]
+    for episode in episodes:
+        if not episode.model.n_elastic:
+            continue
+        rows = np.unique(np.linspace(0, len(episode.time) - 1, VIEW_STATES).astype(int))
+        bent, rigid = (
+            curves(episode.model, episode.states[rows], 2, gain, 1.0).positions[:, -1, -1] for gain in (1, 0)
+        )
+        largest = float(np.nanmax(np.linalg.norm(bent - rigid, axis=1)))
+        gains.append(VISIBLE_SHARE * float(episode.model.constants.length.sum()) / max(largest, 1e-12))
+    return 1.0 if len(gains) == 1 else rounded_gain(min(gains))
+
+
+def rounded_gain(gain: float) -> float:
+    """Return the largest of 1, 2, 5, 10, ... up to MAX_GAIN that is at most `gain`; 1 for smaller values."""
+    steps = [step * 10.0**power for power in range(3) for step in (1, 2, 5) if step * 10.0**power <= MAX_GAIN]
+    return max((step for step in steps if step <= gain), default=1.0)
+
+
+class _Panels:
+    """Painter of frames with one panel for each episode.
+
+    Args:
+        episodes: the episodes.
+        size: width and height of the picture, pixels.
+        end: last time of the strip chart, s.
+        gain: magnification of the deflection.
+    """
+
+    def __init__(self, episodes: Sequence[Episode], size: tuple[int, int], end: float, gain: float | Vector) -> None:
+        width, height = size
+        self._episodes, self._size, self._font = episodes, size, font_size(height)
+        self._line, self._end = round(LINE * self._font), end
+        has_errors = any(np.isfinite(each.errors).any() for each in episodes)
+        self._strip = _ErrorStrip(episodes, end, (width, round(STRIP_SHARE * height))) if has_errors else None
+        self._head = self._font // 2 + 2 * self._line
+        room = height - self._head - self._line - (round(STRIP_SHARE * height) if has_errors else 0)
+        self._painters = [
+            FramePainter(each.model, (width // len(episodes), room), gain=gain, overlays=False, shadow=False)
+            for each in episodes
+        ]
+        points = np.concatenate([
+            part for each in episodes for part in _extent(each, end, self._painters[0].gains)
+        ])  # fmt: skip
+        self._shots = [painter.shot(points) for painter in self._painters]
+
+    def paint(self, time: float) -> Picture:
+        """Return the frame at a time (s)."""
+        width, height = self._size
+        picture = np.full((height, width, 3), 255, dtype=np.uint8)
+        for k, (episode, painter, shot) in enumerate(zip(self._episodes, self._painters, self._shots, strict=True)):
+            row = min(round(time / episode.period), len(episode.time) - 1)
+            target = episode.targets[row] if np.isfinite(episode.targets[row]).all() else None
+            left = k * painter.size[0]
+            part = picture[self._head : self._head + painter.size[1], left : left + painter.size[0]]
+            part[:] = painter.paint(episode.states[row], target, trail=episode.tips[: row + 1], shot=shot)
+            self._write_head(picture, k, float(episode.errors[row]))
+        write_text(picture, f"t {time:.2f} s", (-self._font, self._font // 2), self._font)
+        self._write_note(picture)
+        if self._strip is not None:
+            strip = self._strip.at(time)
+            picture[-len(strip) :] = strip
+        return picture
+
+    def _write_head(self, picture: Picture, k: int, error: float) -> None:
+        """Write the name and the tip error (m) of episode k above its arm."""
+        left, top = k * self._painters[k].size[0] + self._font, self._font // 2
+        write_text(picture, self._episodes[k].name, (left, top), self._font, COLOURS[k])
+        if np.isfinite(error):
+            text = f"tip error {error:.2f} m" if error >= 1.0 else f"tip error {1e3 * error:.1f} mm"
+            write_text(picture, text, (left, top + self._line), self._font)
+
+    def _write_note(self, picture: Picture) -> None:
+        """Write the scales below the arms: that of the deflection in red, at the right."""
+        row, painter = self._head + self._painters[0].size[1], self._painters[0]
+        magnified, scales = describe_frame(painter.gains, painter.scale, painter.grid)
+        write_text(picture, scales, (self._font, row), self._font)
+        if magnified:
+            write_text(picture, f"{magnified} (violet dot: true tip)", (-self._font, row), self._font, WARNING)
+
+
+def _extent(episode: Episode, end: float, gains: tuple[float, float]) -> tuple[Array, Array]:
+    """Return points (p, 3) and targets (t, 3), m, of an episode up to a time (s) at given magnifications."""
+    rows = np.unique(np.linspace(0, min(round(end / episode.period), len(episode.time) - 1), VIEW_STATES).astype(int))
+    bent, targets = curves(episode.model, episode.states[rows], LINK_POINTS, *gains), episode.targets[rows]
+    return bent.positions.reshape(-1, 3), targets[np.isfinite(targets).all(axis=1)]
+
+
+class _ErrorStrip:
+    """Strip chart of tip errors over time, of which the part up to a time is shown.
+
+    Args:
+        episodes: the episodes.
+        end: last time, s.
+        size: width and height, pixels.
+    """
+
+    def __init__(self, episodes: Sequence[Episode], end: float, size: tuple[int, int]) -> None:
+        self._end = end
+        figure = new_figure((size[0] / DPI, size[1] / DPI), DPI)
+        font = 0.72 * font_size(round(size[1] / STRIP_SHARE))  # points; letters as high as those of the frames
+        left, bottom, right, top = 7.5 * font, 2.0 * font, 2.0 * font, 0.5 * font  # margins, pixels
+        width, height = size[0] - left - right, size[1] - bottom - top
+        axes = figure.add_axes((left / size[0], bottom / size[1], width / size[0], height / size[1]))
+        self._empty = _axes_picture(figure, axes, episodes, end, font)
+        for episode, colour in zip(episodes, COLOURS, strict=False):
+            axes.plot(episode.time, episode.errors, color=colour, linewidth=0.16 * font)
+        figure.canvas.draw()
+        self._full = np.array(figure.canvas.buffer_rgba())[..., :3]
+        self._columns = axes.transData.transform([(0.0, 0.0), (end, 0.0)])[:, 0]
+
+    def at(self, time: float) -> Picture:
+        """Return the strip (height, width, 3) with the curves up to a time, s."""
+        first, last = self._columns
+        column = round(first + (last - first) * time / self._end) + 1
+        return np.concatenate([self._full[:, :column], self._empty[:, column:]], axis=1)
+
+
+def _axes_picture(figure: Any, axes: Any, episodes: Sequence[Episode], end: float, font: float) -> Picture:
+    """Prepare the axes of a strip chart for tip errors (m), and return them as a picture without curves."""
+    largest = max(float(np.nanmax(each.errors[each.time <= end])) for each in episodes)
+    unit, factor = ("m", 1.0) if largest >= 1.0 else ("mm", 1e3)
+    axes.set(xlim=(0.0, end), ylim=(-0.03 * largest, 1.05 * largest))
+    axes.xaxis.set_major_formatter(lambda value, _: f"{value:g} s")
+    axes.yaxis.set_major_formatter(lambda value, _: f"{factor * value:g} {unit}" if value else "0")
+    axes.yaxis.get_major_locator().set_params(nbins=3)
+    axes.tick_params(labelsize=font, length=2.0, color=MIDDLE, labelcolor=DARK, pad=2.0)
+    axes.grid(color=LIGHT, linewidth=0.6)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.spines[["left", "bottom"]].set_color(MIDDLE)
+    axes.text(0.995, 0.98, "tip error", transform=axes.transAxes, fontsize=font, color=DARK, ha="right", va="top")
+    figure.canvas.draw()
+    return np.array(figure.canvas.buffer_rgba())[..., :3]

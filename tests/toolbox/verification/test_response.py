@@ -1,0 +1,62 @@
+"""Tests of the fit of the rotary link to a frequency response: a made-up response of a changed arm is recovered."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import flexman_gym as fm
+from flexman_gym.simulation.parameters import PARAMETERS, varied_model
+from flexman_gym.toolbox.verification import response as module
+
+HERTZ = np.geomspace(0.1, 40.0, 60)
+FACTORS = {"link_stiffness_factor": 1.06, "rotor_inertia": 0.93, "viscous_friction": 1.1, "link_damping": 0.8}
+
+
+def made_up(noise):
+    """Return the response of an arm with changed parameters, 1.05 times the torque per volt, and relative noise."""
+    model, random = fm.build_model(fm.catalog.quanser_rotary(), 8), np.random.default_rng(3)
+    values = {name: factor * np.array(PARAMETERS[name].nominal(model)) for name, factor in FACTORS.items()}
+    exact = 1.05 * module._hub_response(varied_model(model, **values), HERTZ)
+    return exact * (1.0 + noise * (random.standard_normal((2, len(HERTZ))) * [[1.0], [1.0j]]).sum(axis=0))
+
+
+def test_parameters_are_recovered_within_their_deviations():
+    fit = module.fit_response(HERTZ, made_up(0.01))
+    expected = [*FACTORS.values(), 1.05]
+    assert (np.abs(fit.factors - expected) < 4.0 * fit.deviations).all()
+    assert fit.deviations.max() < 0.1
+    assert fit.error < 0.02 < 0.1 < fit.before  # noise of 1.4 % in modulus
+
+
+def test_the_response_without_link_damping_has_an_antiresonance_at_the_clamped_frequency():
+    """With the hub held the link vibrates alone: the response of the hub has a zero at each clamped frequency."""
+    model = fm.build_model(replace(fm.catalog.quanser_rotary(), modal_damping_ratio=0.0), 8)
+    clamped = fm.frequencies(model, lock_joints=True)[:2]
+    near, at = np.abs(module._hub_response(model, clamped * 1.1)), np.abs(module._hub_response(model, clamped))
+    assert (at < 1e-9 * near).all()
+
+
+def test_files(tmp_path):
+    response = made_up(0.0)
+    path = tmp_path / "response.csv"
+    lines = [f"{f!r},{h.real!r},{h.imag!r}" for f, h in zip(HERTZ.tolist(), response.tolist(), strict=True)]
+    path.write_text("\n".join([",".join(module.COLUMNS), *lines]), encoding="utf-8")
+    hertz, read = module.read_response(path)
+    assert np.array_equal(hertz, HERTZ)
+    assert np.array_equal(read, response)
+    for content, message in (
+        ("\n".join(["f,re,im", *lines]), "columns of response.csv"),
+        ("\n".join([",".join(module.COLUMNS), *lines[:5]]), "rows of response.csv"),
+        ("\n".join([",".join(module.COLUMNS), *lines[::-1]]), "rows of response.csv"),
+        ("\n".join([",".join(module.COLUMNS), *lines[:12], "1,2,nan"]), "line 14"),
+    ):
+        path.write_text(content, encoding="utf-8")
+        with pytest.raises(ValueError, match=message):
+            module.read_response(path)
+
+
+def test_a_response_of_another_arm_is_not_explained():
+    """That of a mass without a spring, of another gain, has no antiresonance."""
+    fit = module.fit_response(HERTZ, 30.0 / (2j * np.pi * HERTZ) ** 3)
+    assert fit.error > module.LARGE_ERROR and module.BAD_FIT in str(fit)
