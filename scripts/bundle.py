@@ -1,4 +1,4 @@
-"""Build the replay page from `scripts/web` with three.js and uPlot into flexman_gym/toolbox/view, or check the built files."""
+"""Build the replay page from `scripts/web` with three.js and uPlot into toolbox/view, or check the built files."""
 
 import argparse
 import subprocess

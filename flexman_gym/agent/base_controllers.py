@@ -56,9 +56,9 @@ class ControllerEntry:
     tuning: str = DEFAULT_TUNING
 
 
-_PLACE = "flexman_gym.control"
+_PLACE = "flexman_gym.toolbox.controllers"
 BASES: Registry[ControllerEntry] = Registry({
-    "pd": f"{_PLACE}.pd:ENTRY",
+    "pd": "flexman_gym.agent.pd:ENTRY",
     "pd-torque": f"{_PLACE}.torque_feedback_pd:ENTRY",
     "lqr": f"{_PLACE}.lqr:LQR_ENTRY",
     "lqr-tracking": f"{_PLACE}.lqr:TRACKING_ENTRY",

@@ -24,7 +24,9 @@ def lazy_names(package: str) -> tuple[Callable[[str], Any], Callable[[], list[st
         if name not in homes:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
         home, attribute = homes[name]
-        value = import_module(f"{home}.{attribute}") if home == package else getattr(import_module(home), attribute)
+        module = import_module(home)
+        known = home != package and hasattr(module, attribute)
+        value = getattr(module, attribute) if known else import_module(f"{home}.{attribute}")
         setattr(sys.modules[package], name, value)
         return value
 

@@ -10,7 +10,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 import flexman_gym as fm
-from flexman_gym import control
+from flexman_gym import agent
 from flexman_gym.agent.base_controllers import make_base
 from flexman_gym.agent.controller import EpisodeInfo, Plant
 from flexman_gym.agent.friction_compensation import (
@@ -27,6 +27,7 @@ from flexman_gym.envs.config.specification import make_plant
 from flexman_gym.evaluation.metrics import evaluate
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.linearization import linearize
+from flexman_gym.toolbox import controllers
 from flexman_gym.toolbox.controllers.observers.observer import Estimate
 from flexman_gym.toolbox.controllers.tracking import Tracking
 
@@ -159,8 +160,9 @@ def test_the_tracking_law_compensates_at_the_state_at_which_its_torques_act():
 def test_no_control_law_is_designed_for_a_linear_model_with_friction(monkeypatch):
     """Linear models of all laws; those of margins and observers have sliding motors."""
     modules = [
-        control.__name__,
-        *(each.name for each in pkgutil.walk_packages(control.__path__, "flexman_gym.control.")),
+        each.name
+        for package in (agent, controllers)
+        for each in pkgutil.walk_packages(package.__path__, f"{package.__name__}.")
     ]
     users = [each for each in map(importlib.import_module, modules) if hasattr(each, "linearize")]
     assert {each.__name__.rpartition(".")[2] for each in users} >= {"lqr", "mpc", "margins"}

@@ -31,7 +31,7 @@ from flexman_gym.toolbox.controllers.references.optimised_slews import SHIPPED_T
 from flexman_gym.toolbox.league.scenarios import PLANTS, find_scenario
 
 Kind = TypeVar("Kind")
-PACKAGE = Path(__file__).parents[1]
+PACKAGE = Path(__file__).parents[2]
 ROWS, CELLS = "rows.csv", "cells.csv"
 BLOCK = 25  # episodes of a cell, which are simulated together as one batch
 TIME_RATIO = "multiple"  # dimensionless; settling time relative to the settling time of the optimised slew
@@ -40,9 +40,9 @@ LIMITED = tuple(metric.name for metric in LIMIT_METRICS)
 VALUES = (*METRICS, TIME_RATIO, DAMPING, *LIMITED)  # columns of the values of a row
 FORMER_METRICS: tuple[str, ...] = ()  # columns of removed metrics; they are skipped in rows of earlier versions
 # Sources on which the results in a row depend, in addition to agent, scenario and package versions.
-SOURCES = ("common/arrays.py", "kernels", "scene", "model", "simulation", "control", "envs", "metrics",
-           *(f"evaluation/{name}.py" for name in ("agent", "metrics", "rollout")), "league/rows.py",
-           "league/scenarios.py")  # fmt: skip
+SOURCES = ("common/arrays.py", "kernels", "scene", "model", "simulation", "agent", "envs", "metrics",
+           *(f"evaluation/{name}.py" for name in ("agents", "metrics", "rollouts")), "toolbox/controllers",
+           "toolbox/safety", "toolbox/league/rows.py", "toolbox/league/scenarios.py")  # fmt: skip
 REFERENCE_AGENTS = ("zero", "privileged-lqr")  # their mean returns are the scores 0 and 1; they run in every scenario
 
 

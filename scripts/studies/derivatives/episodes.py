@@ -27,7 +27,7 @@ SIZES = {
     "damping": 3.0,
 }  # fmt: skip
 ACTION_SIZE = 0.5  # size of an action
-ROUNDED = ("control.pd", "control.agent", "evaluation.rollout")  # modules that round actions or observations to float32
+ROUNDED = ("agent.pd", "agent.agent", "evaluation.rollouts")  # modules that round actions or observations to float32
 
 
 class _Numpy:
