@@ -10,10 +10,10 @@ import flexman_gym as fm
 from flexman_gym import metrics
 from flexman_gym.agent.pd import PD
 from flexman_gym.envs.config.configuration import Configuration
+from flexman_gym.model.assembled_modes import assembled_modes
 from flexman_gym.toolbox.controllers.lqr import LQR
 from flexman_gym.toolbox.fidelity.mesh_search import MeshSearch
 from flexman_gym.toolbox.fidelity.model_search import CANDIDATE_METHODS
-from flexman_gym.toolbox.fidelity.model_selection import assembled_modes
 
 from oracles import fuzz
 from oracles.fuzz import arguments, described, outcome, too_much

@@ -16,13 +16,13 @@ from flexman_gym.common import checks
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.vector_env import FlexManVectorEnv
 from flexman_gym.kernels.layout import LARGEST_STATE
+from flexman_gym.model.assembled_modes import assembled_modes
 from flexman_gym.model.model import scene_model
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.integrator import MAX_STEPS
 from flexman_gym.toolbox.controllers.input_shaping.shaped_controller import InputShapedController
 from flexman_gym.toolbox.controllers.input_shaping.shapers import design_shaper, excited_modes
 from flexman_gym.toolbox.controllers.lqr import LQR, TrackingLQR
-from flexman_gym.toolbox.fidelity.model_selection import assembled_modes
 
 from oracles import odd_values
 from oracles.assertions import offenders

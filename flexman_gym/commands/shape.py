@@ -241,9 +241,9 @@ def _find_model(name: str, count: int) -> "tuple[Model, np.ndarray, list[float]]
     """Return the model of an arm, postures (count, n) rad and payloads (kg)."""
     from flexman_gym.common import files
     from flexman_gym.envs.config.configuration import Configuration
+    from flexman_gym.model.assembled_modes import assembled_modes
     from flexman_gym.model.model import build_model
     from flexman_gym.scene.serialization import ARMS, SUFFIXES, find_arm
-    from flexman_gym.toolbox.fidelity.model_selection import assembled_modes
 
     data = files.read_data(Path(name)) if name.endswith(SUFFIXES) else None
     if name in ARMS or (isinstance(data, dict) and ("arm" in data or "links" in data) and "id" not in data):

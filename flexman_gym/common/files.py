@@ -1,6 +1,8 @@
 """Files: atomic writes, strict JSON and YAML, and safe reading of arrays."""
 
+import csv
 import errno
+import io
 import itertools
 import json
 import os
@@ -10,7 +12,7 @@ import struct
 import tempfile
 import zipfile
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -18,6 +20,7 @@ from typing import Any, BinaryIO
 import numpy as np
 import yaml
 
+from flexman_gym.common.arrays import Vector
 from flexman_gym.common.checks import MAX_REASON, one_of, short_path, short_repr
 
 # Possible errors while reading a damaged file of text or arrays.
@@ -333,3 +336,16 @@ def _sync(folder: Path) -> None:
             os.fsync(descriptor)
         finally:
             os.close(descriptor)
+
+
+def write_csv(path: str | Path, columns: Mapping[str, Vector]) -> None:
+    """Write columns of equal length to a CSV file, with all digits of the numbers.
+
+    Args:
+        path: path of the file.
+        columns: header, such as "time (s)" -> values (T,).
+    """
+    table = np.column_stack(list(columns.values()))
+    text = io.StringIO(newline="")
+    csv.writer(text).writerows([[*columns], *table.tolist()])
+    write_file(path, text.getvalue())

@@ -310,3 +310,26 @@ def _number(cell: str, decimal: str) -> float | None:
         return None if "." in cell else float(cell.replace(",", "."))
     except ValueError:
         return math.nan if cell.strip().lower() in MISSING else None
+
+
+def read_csv_rows(path: str | Path) -> Iterator[list[str]]:
+    """Read a CSV file of this package line by line.
+
+    Args:
+        path: path of the file.
+
+    Yields:
+        list[str]: The entries of a line, the header first.
+
+    Raises:
+        FileNotFoundError: if the file does not exist.
+        ValueError: for a directory, a device or a pipe, more than 200 MB, more than a million lines (counted before
+            parsing), a line of more than 100,000 characters and bytes that are not UTF-8, with a one-line message that
+            contains the name of the file but not its text.
+    """
+    try:
+        yield from csv.reader(short_lines(open_text(path, "utf-8-sig")))
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise ValueError(f"{table_name(path)}: {error}; give UTF-8 text with commas") from None
+    except ValueError as error:
+        raise ValueError(f"{table_name(path)}: {error}") from None

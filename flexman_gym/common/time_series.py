@@ -1,20 +1,16 @@
 """Time series in CSV files, with a name and a unit for each column."""
 
-import csv
-import io
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from flexman_gym.common.arrays import Vector
 from flexman_gym.common.checks import sequence, value_error, warn_caller
 from flexman_gym.common.clock import MAX_SHOWN, TIME_UNITS, EqualTimes, find_clock, is_time, join_seconds
-from flexman_gym.common.files import write_file
-from flexman_gym.common.tables import Table, open_text, read_table, short_lines, table_name
+from flexman_gym.common.tables import Table, read_table, table_name
 from flexman_gym.common.units import UNITS, is_command, is_counter, split_header
 
 MAX_MISSING = 0.1  # fraction of the lines without a number in one of the columns; above it, their times differ
@@ -247,42 +243,6 @@ def read_time_series(
         ValueError: as in `read_table`, `find_clock` and `TimeSeries.select`, with a one-line message.
     """
     return TimeSeries.read(path).select(columns, units)
-
-
-def read_csv_rows(path: str | Path) -> Iterator[list[str]]:
-    """Read a CSV file of this package line by line.
-
-    Args:
-        path: path of the file.
-
-    Yields:
-        list[str]: The entries of a line, the header first.
-
-    Raises:
-        FileNotFoundError: if the file does not exist.
-        ValueError: for a directory, a device or a pipe, more than 200 MB, more than a million lines (counted before
-            parsing), a line of more than 100,000 characters and bytes that are not UTF-8, with a one-line message that
-            contains the name of the file but not its text.
-    """
-    try:
-        yield from csv.reader(short_lines(open_text(path, "utf-8-sig")))
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise ValueError(f"{table_name(path)}: {error}; give UTF-8 text with commas") from None
-    except ValueError as error:
-        raise ValueError(f"{table_name(path)}: {error}") from None
-
-
-def write_csv(path: str | Path, columns: Mapping[str, Vector]) -> None:
-    """Write columns of equal length to a CSV file, with all digits of the numbers.
-
-    Args:
-        path: path of the file.
-        columns: header, such as "time (s)" -> values (T,).
-    """
-    table = np.column_stack(list(columns.values()))
-    text = io.StringIO(newline="")
-    csv.writer(text).writerows([[*columns], *table.tolist()])
-    write_file(path, text.getvalue())
 
 
 def _header(table: Table, i: int) -> str:

@@ -9,7 +9,6 @@ from flexman_gym.agent.base_controllers import BASES
 from flexman_gym.common.checks import short_path, value_error
 from flexman_gym.common.renamed import RUN_SETTINGS, rename_keys
 from flexman_gym.common.run_folder import SETTINGS, read_settings
-from flexman_gym.common.time_series import read_csv_rows
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.sensors import plain_sensors
 from flexman_gym.evaluation.agents import BASELINES, SIMPLE_AGENTS, training_folder
@@ -109,6 +108,8 @@ def training_seconds(agent: str) -> float | None:
     """Return the CPU time of the training, s, of a policy or a run; None for a run without learning curves."""
     if folder := policy_folder(agent):
         return float(read_policy(folder).metadata["training_seconds"])
+    from flexman_gym.common.tables import read_csv_rows
+
     result = None
     for path in () if agent in BASELINES else sorted(Path(agent).glob("progress*.csv")):
         names, *rows = [*read_csv_rows(path)] or [[]]

@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,9 +25,8 @@ from flexman_gym.common.checks import (
     vector,
     whole_number,
 )
-from flexman_gym.common.files import read_data, write_data
+from flexman_gym.common.files import read_data, write_csv, write_data
 from flexman_gym.common.markdown import text_fields
-from flexman_gym.common.time_series import TimeSeries, read_time_series, write_csv
 from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.input_checks import check_keywords
 from flexman_gym.scene.serialization import find_arm, from_plain, to_plain
@@ -40,6 +39,9 @@ from flexman_gym.scene.signals import (
     Signal,
     SineTorque,
 )
+
+if TYPE_CHECKING:
+    from flexman_gym.common.time_series import TimeSeries
 
 MAX_ELEMENTS = 64  # largest number of finite elements of a link
 MAX_INLINE_SAMPLES = 100  # largest number of samples of a signal in a scene file; longer signals go to CSV files
@@ -419,6 +421,8 @@ def _signal_from_plain(
         options = dict(mapping(path, data, ("csv", "column", "hold", "deviation")))
         name = text(f"{path}.csv", options.pop("csv"))
         column = text(f"{path}.column", options.pop("column", None))
+        from flexman_gym.common.time_series import read_time_series
+
         record = read_time_series(folder / name, [column], units).warn()
         _warn_outside(f"{path}.csv", name, folder)
         return _sampled_signal(record, column, options)
@@ -458,7 +462,7 @@ def _split_samples(path: Path, data: dict[str, Any]) -> tuple[dict[str, Any], di
     return result, tables
 
 
-def _sampled_signal(record: TimeSeries, column: str, options: dict[str, Any]) -> Any:
+def _sampled_signal(record: "TimeSeries", column: str, options: dict[str, Any]) -> Any:
     """Return the signal in the column of a record: SampledAngles if the unit is rad, otherwise a SampledSignal."""
     [(unit, values)] = record.columns.values()
     kind: Any = SampledAngles if unit == "rad" else SampledSignal

@@ -23,7 +23,7 @@ from flexman_gym.common.checks import (
     vector,
     whole_ratio,
 )
-from flexman_gym.common.time_series import read_time_series, write_csv
+from flexman_gym.common.files import write_csv
 
 HOLDS = ("zero", "linear")
 MIN_SPLINE_SAMPLES = 4
@@ -62,6 +62,8 @@ class SampledSignal:
     @classmethod
     def from_csv(cls, path: str | Path, column: str, unit: str, hold: str = "zero") -> Self:
         """Read a column of a CSV file, converted to a unit (from mN to N, for example); see `read_time_series`."""
+        from flexman_gym.common.time_series import read_time_series
+
         record = read_time_series(path, [column], (unit,)).warn()
         return cls(record.times, record.table[:, 0], hold)
 
@@ -125,6 +127,8 @@ class SampledTorque:
         Raises:
             FileNotFoundError: if the file does not exist.
         """
+        from flexman_gym.common.time_series import read_time_series
+
         record = read_time_series(path, columns, ("N m",)).warn()
         return cls(record.times, record.table, hold)  # type: ignore[arg-type]
 
@@ -211,6 +215,8 @@ class SampledAngles:
     @classmethod
     def from_csv(cls, path: str | Path, column: str, deviation: float = 0.0) -> Self:
         """Read a column of angles, such as "hub" of a CSV file with the header "time (s),hub (deg)"."""
+        from flexman_gym.common.time_series import read_time_series
+
         record = read_time_series(path, [column], ("rad",)).warn()
         return cls(record.times, record.table[:, 0], deviation)
 

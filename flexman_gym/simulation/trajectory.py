@@ -10,8 +10,8 @@ import numpy as np
 
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import positive, value_error, vector, whole_number
+from flexman_gym.common.files import write_csv
 from flexman_gym.common.registry import load_entry
-from flexman_gym.common.time_series import write_csv
 from flexman_gym.kernels import layout
 from flexman_gym.model.linearization import MEASUREMENT_UNITS, LinearMeasurements, column_names
 from flexman_gym.model.loads import FrameMotion

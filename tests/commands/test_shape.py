@@ -7,8 +7,8 @@ import pytest
 
 import flexman_gym as fm
 from flexman_gym.__main__ import main
-from flexman_gym.common.files import read_data, write_data
-from flexman_gym.common.time_series import read_time_series, write_csv
+from flexman_gym.common.files import read_data, write_csv, write_data
+from flexman_gym.common.time_series import read_time_series
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.toolbox.controllers.input_shaping.joint_trajectory import read_trajectory

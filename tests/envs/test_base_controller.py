@@ -15,8 +15,8 @@ from flexman_gym.envs.effects import SIGNALS
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.sensors import Instrument, ServoErrors
 from flexman_gym.envs.vector_env import FlexManVectorEnv
+from flexman_gym.model.assembled_modes import assembled_modes
 from flexman_gym.simulation.batch import Batch
-from flexman_gym.toolbox.fidelity.model_selection import assembled_modes
 
 from oracles.assertions import refusal
 from oracles.random_inputs import actions

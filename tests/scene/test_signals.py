@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 import flexman_gym as fm
-from flexman_gym.common.time_series import read_time_series, write_csv
+from flexman_gym.common.files import write_csv
+from flexman_gym.common.time_series import read_time_series
 
 from oracles.assertions import refusal
 

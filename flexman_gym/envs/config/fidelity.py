@@ -6,6 +6,7 @@ from flexman_gym.common.checks import positive
 from flexman_gym.common.registry import load_entry
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
+from flexman_gym.model.assembled_modes import assembled_modes
 from flexman_gym.model.model import Model, build_model
 from flexman_gym.scene.scene import Initial, ModelChoice, Scene
 from flexman_gym.scene.signals import SineTorque
@@ -16,7 +17,6 @@ if TYPE_CHECKING:
     from flexman_gym.toolbox.fidelity.model_selection import Choice
 
 SLEW_DURATION = 3.0  # s; duration of the slew for which fidelity="auto" chooses the model
-SELECTION = "flexman_gym.toolbox.fidelity.model_selection"  # module that selects models
 SLEW_START = 0.4  # rad; magnitude of the joint angles at its start, with alternating signs
 
 
@@ -36,8 +36,7 @@ def resolve_fidelity(configuration: Configuration) -> _Fidelity:
         return _Fidelity(choice.model, choice.method, choice.step, choice)
     modes = configuration.modes
     if isinstance(modes, str):
-        assembled = load_entry(f"{SELECTION}:assembled_modes")
-        modes = assembled(configuration.arm, configuration.elements, 0.5 / configuration.control_period)
+        modes = assembled_modes(configuration.arm, configuration.elements, 0.5 / configuration.control_period)
     switches = {name: getattr(configuration, name) for name in ("stiffening", "spinning_rotors", "rotary_inertia")}
     model = build_model(configuration.arm, configuration.elements, modes, **switches)
     step = configuration.step
@@ -59,6 +58,6 @@ def _choose_fidelity(configuration: Configuration) -> "Choice":
         duration=max(1, round(SLEW_DURATION / period)) * period,
         output_step=period,
     )
-    choose_model = load_entry(f"{SELECTION}:choose_model")
+    choose_model = load_entry("flexman_gym.toolbox.fidelity.model_selection:choose_model")
     choice: Choice = choose_model(scene, positive("tolerance", configuration.tolerance, "m"), longest_step=period)
     return choice

@@ -8,6 +8,7 @@ import numpy as np
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import value_error
 from flexman_gym.common.progress import Progress
+from flexman_gym.model.assembled_modes import compact_modes
 from flexman_gym.model.dynamics import mass_matrix, stiffness_matrix, tip_jacobian
 from flexman_gym.model.model import Model, build_model
 from flexman_gym.scene.scene import Scene
@@ -34,14 +35,9 @@ class Candidate(NamedTuple):
         modes = [tuple(j for j in numbers if (i, j) not in omitted) for i, numbers in enumerate(self.modes)]
         return self._replace(modes=tuple(modes))
 
-    @staticmethod
-    def compact(numbers: tuple[int, ...]) -> int | tuple[int, ...]:
-        """Return mode numbers in the form of `build_model`: a number m for the m lowest modes, else a tuple."""
-        return len(numbers) if numbers == tuple(range(len(numbers))) else numbers
-
     def build(self, scene: Scene) -> Model:
         """Return the model of the candidate for a scene."""
-        modes = tuple(self.compact(numbers) for numbers in self.modes)
+        modes = tuple(compact_modes(numbers) for numbers in self.modes)
         options = vars(scene.model) | {"flexible_joints": self.springs, "stiffening": self.stiffening, "modes": modes}
         return build_model(scene.arm, **options)
 

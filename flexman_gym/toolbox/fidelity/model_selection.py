@@ -8,11 +8,9 @@ from functools import lru_cache
 import numpy as np
 
 from flexman_gym.common.arrays import Array
-from flexman_gym.common.checks import check_solvable, instance, positive, value_error
-from flexman_gym.common.renamed import ARGUMENTS, deprecated_arguments
-from flexman_gym.model.dynamics import frequencies, mass_matrix, stiffness_matrix
-from flexman_gym.model.model import Model, build_model
-from flexman_gym.scene.arm import Arm
+from flexman_gym.common.checks import instance, positive, value_error
+from flexman_gym.model.dynamics import frequencies, stiffness_matrix
+from flexman_gym.model.model import Model
 from flexman_gym.scene.scene import Scene
 from flexman_gym.simulation.methods import EXPLICIT, METHODS, Method
 from flexman_gym.simulation.stability import NEGLIGIBLE_GROWTH, remaining_amplitude, spectral_radii, stability_limit
@@ -118,49 +116,6 @@ def choose_model(scene: Scene, tolerance: float, longest_step: float | None = No
         )
     longest = np.inf if longest_step is None else positive("longest_step", longest_step, "s")
     return _choose(scene, positive("tolerance", tolerance, "m"), longest)
-
-
-@deprecated_arguments(**ARGUMENTS["assembled_modes"])
-def assembled_modes(
-    arm: Arm, elements: int | tuple[int, ...] = 2, max_frequency: float = 25.0, energy_fraction: float = 0.02
-) -> tuple[int | tuple[int, ...], ...]:
-    """Return the component modes of each link, for `build_model`, that contribute to the vibration modes of an arm.
-
-    A component mode is retained if it has more than `energy_fraction` of the elastic energy of a vibration mode of the
-    arm (motors free, undamped). All vibration modes up to `max_frequency` are used, at least the lowest three, at zero
-    joint angles and with each joint rotated by 0.8 and by 1.6 rad. Unlike `choose_model`, this function simulates
-    nothing and estimates no error.
-
-    Args:
-        arm: the arm.
-        elements: number of finite elements, one for all links or one per link, as in `build_model`.
-        max_frequency: largest natural frequency of a vibration mode, Hz.
-        energy_fraction: smallest fraction of the elastic energy of a vibration mode, 1.
-
-    Returns:
-        For each link, the number of its lowest modes or a tuple of mode numbers, from 0.
-
-    Raises:
-        ValueError: if the natural frequencies cannot be computed, for masses or stiffnesses of very different size.
-    """
-    from scipy.linalg import eigh
-
-    counts = tuple(basis.shape[1] for basis in build_model(arm, elements).bases)
-    model = build_model(arm, elements, counts)
-    stiffness, n = stiffness_matrix(model), model.n_joints
-    rotated = [angle * row for angle in (0.8, 1.6) for row in np.eye(n)]
-    fractions = np.zeros(model.n_dof)
-    for posture in [np.zeros(n), *rotated]:
-        mass = mass_matrix(model, model.initial_state(posture))
-        with check_solvable("frequencies"):
-            squares, shapes = eigh(stiffness, mass)
-            slow = np.sqrt(np.maximum(squares, 0.0)) < 2.0 * np.pi * max_frequency
-            slow[: n + 3] = True
-            slow[:n] = False  # rigid-body modes about the joints
-            energies = shapes[:, slow] ** 2 * np.diag(stiffness)[:, None] / squares[slow]
-        fractions = np.maximum(fractions, energies.max(axis=1, initial=0.0))
-    links = [fractions[model.elastic_columns(i)] > energy_fraction for i in range(n)]
-    return tuple(Candidate.compact(tuple(np.flatnonzero(retained).tolist())) for retained in links)
 
 
 @lru_cache(maxsize=64)

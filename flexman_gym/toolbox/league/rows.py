@@ -19,7 +19,7 @@ from flexman_gym.common.files import write_atomically
 from flexman_gym.common.parallel import Workers, parallel_map_unordered
 from flexman_gym.common.renamed import LEAGUE_COLUMNS, current_methods
 from flexman_gym.common.run_folder import BEST, NEWEST, SETTINGS
-from flexman_gym.common.time_series import read_csv_rows
+from flexman_gym.common.tables import read_csv_rows
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.vector_env import compile_kernels
 from flexman_gym.evaluation.agent_info import check_seeds_unseen, describe_agent

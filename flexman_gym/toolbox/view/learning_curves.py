@@ -9,7 +9,7 @@ import numpy as np
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import short_path, suggestion, value_error
 from flexman_gym.common.plot_style import LIGHT, LINK_COLOURS, new_figure, save_figure
-from flexman_gym.common.time_series import read_csv_rows
+from flexman_gym.common.tables import read_csv_rows
 
 STEPS_COLUMN = "time/total_timesteps"  # environment steps of the training
 REWARD_COLUMNS = ("selection/reward", "rollout/ep_rew_mean")  # mean return; the first one in a run is the default

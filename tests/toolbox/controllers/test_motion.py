@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from flexman_gym.common.time_series import read_time_series, write_csv
+from flexman_gym.common.files import write_csv
+from flexman_gym.common.time_series import read_time_series
 from flexman_gym.toolbox.controllers.input_shaping.motion import Motion
 
 from oracles.assertions import refusal

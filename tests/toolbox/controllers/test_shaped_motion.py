@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 import flexman_gym as fm
-from flexman_gym.common.time_series import read_time_series, write_csv
+from flexman_gym.common.files import write_csv
+from flexman_gym.common.time_series import read_time_series
 from flexman_gym.toolbox.controllers.input_shaping import shaped_motion
 from flexman_gym.toolbox.controllers.input_shaping.motion import Motion
 from flexman_gym.toolbox.controllers.input_shaping.shaped_motion import ShapedMotion

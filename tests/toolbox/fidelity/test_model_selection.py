@@ -9,11 +9,12 @@ from scipy.linalg import eigh
 
 import flexman_gym as fm
 from flexman_gym.envs.env import FlexManEnv
+from flexman_gym.model.assembled_modes import assembled_modes
 from flexman_gym.model.dynamics import stiffness_matrix
 from flexman_gym.simulation.methods import METHODS
 from flexman_gym.simulation.stability import NEGLIGIBLE_GROWTH, remaining_amplitude, spectral_radii, stability_limit
 from flexman_gym.toolbox.fidelity.model_search import CandidateRun, ModelSearch
-from flexman_gym.toolbox.fidelity.model_selection import REPORTED_GROWTH, assembled_modes
+from flexman_gym.toolbox.fidelity.model_selection import REPORTED_GROWTH
 
 from oracles.chains import random_scene
 from oracles.files import REFERENCE

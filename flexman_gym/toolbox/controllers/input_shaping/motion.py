@@ -9,9 +9,9 @@ import numpy as np
 
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import positive, value_error
-from flexman_gym.common.files import read_data, write_data
+from flexman_gym.common.files import read_data, write_csv, write_data
 from flexman_gym.common.tables import is_table, table_name
-from flexman_gym.common.time_series import TimeSeries, listed, write_csv
+from flexman_gym.common.time_series import TimeSeries, listed
 from flexman_gym.toolbox.controllers.input_shaping.joint_trajectory import read_trajectory, replace_points
 from flexman_gym.toolbox.controllers.input_shaping.waypoints import Waypoints
 
