@@ -8,6 +8,7 @@ from flexman_gym.envs.registration import register_environments
 if TYPE_CHECKING:
     __version__: str
     from flexman_gym import control, draw, metrics
+    from flexman_gym.common.registry import register
     from flexman_gym.envs.config.randomisation import Randomisation
     from flexman_gym.envs.limits import Limits
     from flexman_gym.envs.tasks import Slew
@@ -107,6 +108,7 @@ __all__ = [
     "mass_matrix",
     "metrics",
     "modes",
+    "register",
     "rest_state",
     "rollout",
     "sensitivities",

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from inspect import getdoc, signature
 from typing import Any, Protocol
 
 from flexman_gym.agent.controller import Controller, Plant
@@ -57,7 +58,20 @@ class ControllerEntry:
 
 
 _PLACE = "flexman_gym.toolbox.controllers"
-BASES: Registry[ControllerEntry] = Registry({
+
+
+def _as_entry(name: str, found: Any) -> ControllerEntry:
+    """Return the entry of a plug-in, which is a `ControllerEntry` or a function of a plant and keyword arguments."""
+    if isinstance(found, ControllerEntry):
+        return found
+    if not callable(found):
+        raise value_error(f"controller {name}", found, "a ControllerEntry, or a function of a Plant")
+    _, *arguments = signature(found).parameters
+    description = (getdoc(found) or f"controller {name}").splitlines()[0].rstrip(".")
+    return ControllerEntry(found, (), tuple(arguments), description, "not known")
+
+
+BASES: Registry[ControllerEntry] = Registry("controller", {
     "pd": "flexman_gym.agent.pd:ENTRY",
     "pd-torque": f"{_PLACE}.torque_feedback_pd:ENTRY",
     "lqr": f"{_PLACE}.lqr:LQR_ENTRY",
@@ -69,7 +83,7 @@ BASES: Registry[ControllerEntry] = Registry({
     "adaptive-lqr": f"{_PLACE}.output_feedback:ADAPTIVE_ENTRY",
     "privileged-lqr": f"{_PLACE}.output_feedback:PRIVILEGED_ENTRY",
     "pd-shaped": f"{_PLACE}.input_shaping.shaped_controller:ENTRY",
-})  # fmt: skip
+}, _as_entry)  # fmt: skip
 """Base controllers: name -> construction, required information, arguments and description."""
 
 

@@ -11,7 +11,7 @@ from flexman_gym.common.renamed import RUN_SETTINGS, rename_keys
 from flexman_gym.common.run_folder import SETTINGS, read_settings
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.sensors import plain_sensors
-from flexman_gym.evaluation.agents import BASELINES, SIMPLE_AGENTS, training_folder
+from flexman_gym.evaluation.agents import SIMPLE_AGENTS, is_baseline, training_folder
 from flexman_gym.evaluation.policy_files import policy_folder, read_policy
 from flexman_gym.evaluation.rollouts import SELECTION_SEEDS, training_seed
 
@@ -111,7 +111,7 @@ def training_seconds(agent: str) -> float | None:
     from flexman_gym.common.tables import read_csv_rows
 
     result = None
-    for path in () if agent in BASELINES else sorted(Path(agent).glob("progress*.csv")):
+    for path in () if is_baseline(agent) else sorted(Path(agent).glob("progress*.csv")):
         names, *rows = [*read_csv_rows(path)] or [[]]
         head = CPU_COLUMN if CPU_COLUMN in names else TIME_COLUMN
         column = names.index(head) if head in names else len(names)
@@ -125,7 +125,7 @@ def training_seconds(agent: str) -> float | None:
 
 def check_seeds_unseen(agent: str, seeds: Sequence[int]) -> None:
     """Raise ValueError if the training or selection of a policy used one of the given seeds, by its stored settings."""
-    if agent in BASELINES:
+    if is_baseline(agent):
         return
     settings = _settings(agent)
     try:

@@ -168,6 +168,11 @@ def find_agent(agent: object) -> AgentSpec:
     return _load_run(training_folder(name))
 
 
+def is_baseline(name: str) -> bool:
+    """Return True for the name of an agent that needs no training, also that of a plug-in."""
+    return name in BASES or name in SIMPLE_AGENTS
+
+
 def training_folder(name: str) -> Path:
     """Return the folder of a training run; raise an error with the names of agents if it does not exist."""
     if not os.path.isdir(name):  # unlike Path.is_dir it accepts any string

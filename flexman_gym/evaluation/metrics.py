@@ -10,6 +10,7 @@ import numpy as np
 from flexman_gym.agent.controller import Controller
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import one_of
+from flexman_gym.common.registry import Registry
 from flexman_gym.common.renamed import ARGUMENTS, deprecated_arguments
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation.agents import AgentSpec
@@ -92,7 +93,7 @@ def _excess(record: EpisodeRecord) -> Array:
 
 
 # A failed episode has an infinite settling time and an infinite vibration.
-METRICS = {metric.name: metric for metric in (
+METRICS: Registry[Metric] = Registry("metric", {metric.name: metric for metric in (
     Metric("reward", "reward", "", "high", lambda record: float(record.rewards.sum()), MEAN),
     Metric("settled", "settled", "", "high", lambda record: float(np.isfinite(_settling_time(record))), SHARE),
     Metric("settling_time", "settling, s", "s", "low", _settling_time, MEDIAN, for_all_tasks=False),
@@ -104,7 +105,7 @@ METRICS = {metric.name: metric for metric in (
     Metric("roughness", "roughness", "", "low", lambda record: roughness(record.actions), MEAN),
     Metric("effort", "effort", "", "low", lambda record: effort(record.actions), MEAN),
     Metric("failed", "failed", "", "low", lambda record: float(record.failure != ""), SHARE),
-)}  # fmt: skip
+)})  # fmt: skip
 """Metrics of `evaluate`: name -> `Metric`. "reward" is the return, the sum of the rewards of an episode."""
 LIMIT_METRICS = (
     Metric("violations", "violations of 1000", "", "low", lambda record: 1e3 * float(_excess(record).any()), MEAN),

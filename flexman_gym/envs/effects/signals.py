@@ -6,6 +6,7 @@ import numpy as np
 
 from flexman_gym.common.arrays import Array, BoolArray, IntArray
 from flexman_gym.common.checks import finite, non_negative, positive, value_error, whole_number
+from flexman_gym.common.registry import Registry
 from flexman_gym.envs.effects.effect import EffectContext, Range
 from flexman_gym.envs.random_streams import TruncatedNoise
 from flexman_gym.model.dynamics import frequencies
@@ -384,16 +385,19 @@ class _BaseSway:
         accelerations += self._sway[:, :3] * (size * ~over)[:, None]
 
 
-SIGNALS: dict[str, Any] = {
-    "torque_limit": _TorqueLimit,
-    "gauge_gain": _GaugeGain,
-    "sensor_noise": _SensorNoise,
-    "sensor_bias": _SensorBias,
-    "dropped_samples": _DroppedSamples,
-    "delay": _Delay,
-    "initial_vibration": _InitialVibration,
-    "tip_impulse": _TipImpulse,
-    "tip_load": _TipLoad,
-    "base_sway": _BaseSway,
-}
+SIGNALS: Registry[Any] = Registry(
+    "effect",
+    {
+        "torque_limit": _TorqueLimit,
+        "gauge_gain": _GaugeGain,
+        "sensor_noise": _SensorNoise,
+        "sensor_bias": _SensorBias,
+        "dropped_samples": _DroppedSamples,
+        "delay": _Delay,
+        "initial_vibration": _InitialVibration,
+        "tip_impulse": _TipImpulse,
+        "tip_load": _TipLoad,
+        "base_sway": _BaseSway,
+    },
+)
 """Effects on signals: name -> class."""

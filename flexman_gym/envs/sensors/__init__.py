@@ -5,6 +5,7 @@ from functools import partial
 from typing import Any
 
 from flexman_gym.common.checks import mapping, one_of, text, value_error
+from flexman_gym.common.registry import Registry
 from flexman_gym.common.renamed import deprecated_names
 from flexman_gym.envs.sensors.ideal import (
     FineScale,
@@ -20,17 +21,20 @@ from flexman_gym.envs.sensors.sensor import Entry, Sensor
 from flexman_gym.envs.sensors.sensor_array import SensorArray, measured_names
 from flexman_gym.model.linearization import LINEAR_SENSORS
 
-SENSORS: dict[str, Callable[[], Sensor]] = {
-    "full": FullState,
-    "fine": FineScale,
-    "servo": ServoErrors,
-    "state": ModelState,
-    **{name: partial(Quantities, quantities) for name, quantities in LINEAR_SENSORS.items()},
-    "accelerometer": lambda: Quantities(("tip_acceleration",)),
-    "tip": lambda: Instrument(Quantities(("tip",)), every=2, delay=1),
-    "command": GoalCommand,
-    "action": LastAction,
-}
+SENSORS: Registry[Callable[[], Sensor]] = Registry(
+    "sensor",
+    {
+        "full": FullState,
+        "fine": FineScale,
+        "servo": ServoErrors,
+        "state": ModelState,
+        **{name: partial(Quantities, quantities) for name, quantities in LINEAR_SENSORS.items()},
+        "accelerometer": lambda: Quantities(("tip_acceleration",)),
+        "tip": lambda: Instrument(Quantities(("tip",)), every=2, delay=1),
+        "command": GoalCommand,
+        "action": LastAction,
+    },
+)
 """Named sensors: name -> function that returns a new sensor."""
 SENSOR_SETS = {"lab": ("motor_encoders", "joint_encoders", "strain", "command")}
 """Sets of sensors: name -> names in `SENSORS`."""
@@ -61,7 +65,8 @@ def _find_part(part: object) -> tuple[object, ...]:
 
 def _find_named(name: str) -> tuple[Sensor, ...]:
     """Return the sensor of a name, or the sensors of the name of a set."""
-    one_of("sensors", name, SENSOR_NAMES)
+    if name not in SENSOR_SETS and name not in SENSORS:
+        one_of("sensors", name, (*SENSORS, *SENSOR_SETS))
     return tuple(SENSORS[each]() for each in SENSOR_SETS.get(name, (name,)))
 
 

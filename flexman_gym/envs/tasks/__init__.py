@@ -1,15 +1,17 @@
 """Tasks: start, goal, reward and sensors that observe the goal."""
 
-from dataclasses import asdict, fields
+from dataclasses import asdict, fields, is_dataclass
+from inspect import signature
 from typing import Any
 
 from flexman_gym.common.checks import check_member_names, mapping, one_of, text, value_error
+from flexman_gym.common.registry import Registry
 from flexman_gym.envs.tasks.hold import Hold
 from flexman_gym.envs.tasks.slew import Slew
 from flexman_gym.envs.tasks.task import OPTIONAL_TASK_MEMBERS, TASK_MEMBERS, Goal, Task
 from flexman_gym.envs.tasks.track import Track
 
-TASKS: dict[str, type[Any]] = {"slew": Slew, "track": Track, "hold": Hold}
+TASKS: Registry[type[Any]] = Registry("task", {"slew": Slew, "track": Track, "hold": Hold})
 """Named tasks: name -> class."""
 
 
@@ -20,12 +22,17 @@ def find_task(value: object) -> Task:
     if isinstance(value, dict) and "kind" in value:
         kind = TASKS[one_of("task", text("task.kind", value["kind"]), TASKS)]
         arguments = {name: each for name, each in value.items() if name != "kind"}
-        value = kind(**mapping("task", arguments, [each.name for each in fields(kind)]))
+        value = kind(**mapping("task", arguments, _arguments(kind)))
     if not isinstance(value, Task) or isinstance(value, type):
         allowed = f"one of {', '.join(TASKS)}, a mapping with that at kind, or a task such as Slew()"
         raise value_error("task", value, f"{allowed}: an object with {', '.join(TASK_MEMBERS)}")
     check_member_names("task", value, OPTIONAL_TASK_MEMBERS, TASK_MEMBERS)
     return value
+
+
+def _arguments(kind: type[Any]) -> list[str]:
+    """Return the names of the arguments of a class of tasks."""
+    return [each.name for each in fields(kind)] if is_dataclass(kind) else [*signature(kind).parameters]
 
 
 def plain_task(task: Any) -> dict[str, Any]:
@@ -38,7 +45,7 @@ def plain_task(task: Any) -> dict[str, Any]:
         ValueError: for a task of a class defined by the user.
     """
     for name, kind in TASKS.items():
-        if type(task) is kind:
+        if type(task) is kind and is_dataclass(task):
             return {"kind": name, **asdict(task)}
     raise value_error("task", task, "a task with a name; a file cannot hold an object of the user")
 

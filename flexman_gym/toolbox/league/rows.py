@@ -23,7 +23,7 @@ from flexman_gym.common.tables import read_csv_rows
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.vector_env import compile_kernels
 from flexman_gym.evaluation.agent_info import check_seeds_unseen, describe_agent
-from flexman_gym.evaluation.agents import BASELINES, find_agent
+from flexman_gym.evaluation.agents import find_agent, is_baseline
 from flexman_gym.evaluation.metrics import LIMIT_METRICS, METRICS
 from flexman_gym.evaluation.policy_files import ARRAYS, METADATA, policy_folder
 from flexman_gym.evaluation.rollouts import rollout
@@ -230,7 +230,7 @@ def _row_key(agent: str, scenario: str) -> str:
     parts: list[Any] = [*(each.to_plain() for each in both), plant, _code_hash(PACKAGE, SOURCES)]
     parts += [computer_info(("mujoco",) if plant == "mujoco" else ()) | {"processor": ""}, _is_lab(scenario)]
     folder = policy_folder(agent) or Path(agent)
-    files = [] if agent in BASELINES else [folder / name for name in (SETTINGS, BEST, NEWEST, METADATA, ARRAYS)]
+    files = [] if is_baseline(agent) else [folder / name for name in (SETTINGS, BEST, NEWEST, METADATA, ARRAYS)]
     hashes = [hashlib.sha256(path.read_bytes()).hexdigest() for path in files if path.is_file()] or [agent]
     return hashlib.sha256(json.dumps([parts, hashes], sort_keys=True).encode()).hexdigest()[:16]
 
