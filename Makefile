@@ -58,6 +58,7 @@ evidence: .venv/installed
 
 lint: .venv/installed
 	$(RUN) ruff check $(CODE) tests
+	$(RUN) ruff format --check --quiet $(CODE) tests
 	@mkdir -p build/names && ln -sfn ../../agents build/names/flexman_agents
 	PYTHONPATH=.:build/names:scripts .venv/bin/lint-imports --no-logo --no-cache
 	$(RUN) mypy flexman_gym scripts build/names/flexman_agents tests/oracles/given.py
