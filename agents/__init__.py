@@ -2,8 +2,6 @@
 
 from importlib.util import find_spec
 
-from flexman_gym.common import renamed  # noqa: F401  modules of release 0.2 are found under their old names
-
 TRAINING_PACKAGES = ("stable_baselines3", "torch", "rich", "tqdm", "tensorboard")
 
 if _missing := [name for name in TRAINING_PACKAGES if find_spec(name) is None]:

@@ -121,7 +121,6 @@ CURVE_METRICS = ("settling_time", "vibration", "error", "reward", "settled", "ro
 WARNING_DROP = 0.2  # decrease of the share of settled episodes, relative to the best policy, that causes a warning
 
 
-@deprecated_members(**MEMBERS["TrainingReport"])
 class TrainingReport(NamedTuple):
     """Progress of a training run, passed to the hook at the start of each rollout and at the end of the training.
 
@@ -248,6 +247,3 @@ class Evaluation(BaseCallback):
             share = f"{result['settled']:.0%} settle instead of {self._best[1]:.0%}"
             text = f"after {self.num_timesteps} steps the policy is worse than before: {share}; the best one is kept"
             print(text, file=sys.stderr)
-
-
-__getattr__ = deprecated_names(__name__)

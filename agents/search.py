@@ -17,7 +17,6 @@ from flexman_gym.common.checks import finite, mapping, one_of, sequence, value_e
 from flexman_gym.common.computer import computer_text, optional_module
 from flexman_gym.common.files import write_atomically
 from flexman_gym.common.parallel import Workers, parallel_map_unordered
-from flexman_gym.common.renamed import RUN_SETTINGS, rename_keys
 from flexman_gym.envs.vector_env import compile_kernels
 
 JOURNAL_FILE, BEST_FILE, STUDY_NAME = "study.log", "best.yaml", "flexman"
@@ -110,12 +109,11 @@ def _run_trial(cell: tuple[Settings, str, int]) -> None:
 
 
 def _flatten_ranges(over: Mapping[str, Any], path: str = "") -> dict[str, Any]:
-    """Return path of a setting -> its range, from nested mappings or paths, under present names of settings."""
+    """Return path of a setting -> its range, from nested mappings or paths."""
     result: dict[str, Any] = {}
     for name, given in over.items():
-        present = ".".join(rename_keys({part: None}, RUN_SETTINGS).popitem()[0] for part in name.split("."))
         nested = isinstance(given, dict) and not {"low", "high", "choices"} & given.keys()
-        result |= _flatten_ranges(given, f"{path}{present}.") if nested else {f"{path}{present}": given}
+        result |= _flatten_ranges(given, f"{path}{name}.") if nested else {f"{path}{name}": given}
     return result
 
 

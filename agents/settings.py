@@ -21,12 +21,10 @@ from flexman_gym.common.checks import (
     positive,
     sequence,
     set_fields,
-    short_path,
     unknown_name,
     value_error,
     whole_number,
 )
-from flexman_gym.common.renamed import RUN_SETTINGS, deprecated_arguments, rename_keys
 from flexman_gym.common.run_folder import NO_SETTINGS, SETTINGS, read_settings
 from flexman_gym.envs.config.configuration import Configuration
 
@@ -163,20 +161,17 @@ class Settings:
 
     @classmethod
     def from_dict(cls, data: object, field: str = "settings") -> Self:
-        """Return checked settings from a mapping; names of release 0.2 are accepted with a DeprecationWarning."""
-        present = rename_keys(data, RUN_SETTINGS) if isinstance(data, dict) else data
-        return cls(**mapping(field, present, [each.name for each in fields(cls)]))
+        """Return checked settings from a mapping."""
+        return cls(**mapping(field, data, [each.name for each in fields(cls)]))
 
     @classmethod
     def recipe(cls, path: str | Path) -> Self:
         """Return the settings of a recipe, a file (.yaml, .yml or .json) with a mapping of settings."""
-        try:
+        with files.naming(path):
             data = files.read_data(Path(path))
-            if isinstance(data, dict) and isinstance(data.get("environment"), dict):
-                data["environment"] = Configuration.from_plain(data["environment"], Path(path).parent, warn=True)
+            if isinstance(data.get("environment"), dict):
+                data["environment"] = Configuration.from_plain(data["environment"], Path(path).parent)
             return cls.from_dict(data)
-        except ValueError as error:
-            raise ValueError(f"{short_path(path)}: {error}") from None
 
     @classmethod
     def load(cls, folder: Path) -> Self:
@@ -185,16 +180,12 @@ class Settings:
         Args:
             folder: folder of the run.
 
-        Returns:
-            The settings; names of release 0.2 are translated.
-
         Raises:
             FileNotFoundError: if the folder has no settings.
             ValueError: if they are not settings of a training run.
         """
         record = read_settings(folder)
         with files.reading(folder / SETTINGS, NO_SETTINGS):
-            record = {"base_in_use": None, "value_warmup": 0, **record}  # settings that earlier releases lack
             return cls.from_dict({name: record[name] for name in (each.name for each in fields(cls))})
 
     def check_run(self, folder: Path) -> None:
@@ -233,9 +224,6 @@ class Settings:
     def with_seed(self, seed: int) -> Self:
         """Return the same settings with another seed."""
         return replace(self, seed=seed)
-
-
-Settings.__init__ = deprecated_arguments(**RUN_SETTINGS)(Settings.__init__)  # type: ignore[method-assign]
 
 
 def _check(field: str, name: str, value: object) -> None:

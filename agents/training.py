@@ -33,7 +33,6 @@ from flexman_agents.settings import EXPLORATION_SCHEDULES, MAX_STEPS, Settings
 from flexman_agents.vector import SB3VecEnv
 from flexman_gym.common.checks import value_error, whole_number
 from flexman_gym.common.files import reading
-from flexman_gym.common.renamed import ARGUMENTS, deprecated_arguments
 from flexman_gym.common.run_folder import BEST, NEWEST, SETTINGS, lock_folder, read_npz, read_settings, write_npz
 from flexman_gym.common.snapshot import get_state, set_state
 from flexman_gym.evaluation.agents import AgentSpec, check_settings
@@ -265,7 +264,6 @@ def train(
         return run.learn(checkpoint_every, progress, hook)
 
 
-@deprecated_arguments(**ARGUMENTS["resume"])
 def resume(
     folder: Path,
     steps: int | None = None,
@@ -415,8 +413,8 @@ class _Run:
         with reading(self.folder / NEWEST, NO_STATE):
             _set_policy_state(self.model, data)
             _set_training_state(self.model, data["training"])
-            if self._evaluation and data["judge"] is not None:  # "judge": name of the evaluation in files
-                set_state("evaluation", self._evaluation, data["judge"])
+            if self._evaluation and data["evaluation"] is not None:
+                set_state("evaluation", self._evaluation, data["evaluation"])
             self._before = whole_number("before", data["before"], 0, MAX_STEPS)
         if further:
             count = self.model.num_timesteps
@@ -461,7 +459,7 @@ class _Run:
 
     def _save(self) -> None:
         evaluation = get_state(self._evaluation) if self._evaluation else None
-        data = {"training": _training_state(self.model), "judge": evaluation, "before": self._before}
+        data = {"training": _training_state(self.model), "evaluation": evaluation, "before": self._before}
         write_npz(self.folder / NEWEST, self._policy() | data)
 
     def _save_best(self) -> None:

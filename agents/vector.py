@@ -10,7 +10,6 @@ from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvStepReturn
 
 from flexman_gym.common.checks import value_error
-from flexman_gym.common.renamed import deprecated_names
 
 Infos = dict[str, Any]
 
@@ -90,6 +89,3 @@ def _info_of_arm(infos: Infos, arm: int) -> Infos:
         if not key.startswith("_"):
             info[key] = _info_of_arm(value, arm) if isinstance(value, dict) else value[arm]
     return info
-
-
-__getattr__ = deprecated_names(__name__)

@@ -8,13 +8,11 @@ import pkgutil
 import re
 import signal
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from textwrap import wrap
 
 from flexman_gym import __version__, commands
-from flexman_gym.common.checks import suggestion, warn_caller
-from flexman_gym.common.renamed import COMMANDS, OPTIMISED, OPTIONS, REMOVED_OPTIONS
+from flexman_gym.common.checks import suggestion
 
 COMMAND_GROUPS = {  # group -> commands, in the order of the help
     "start": ("demo", "live", "check", "compile", "list", "verify"),
@@ -45,7 +43,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 def _run(arguments: list[str] | None) -> int:
     """Run a command and return the exit status."""
-    given = _present_options(sys.argv[1:], _print_line) if arguments is None else _present_options(arguments, _warn)
+    given = sys.argv[1:] if arguments is None else arguments
     about = "Simulate, train and test controllers of flexible robot arms."
     form = argparse.RawDescriptionHelpFormatter
     parser = argparse.ArgumentParser(
@@ -68,7 +66,6 @@ def _run(arguments: list[str] | None) -> int:
         parser.parse_args(given)
     command_parser = chosen.choices[given[0]]
     try:
-        _refuse_removed_options(given[0], given[1:])
         command = importlib.import_module(f"flexman_gym.commands.{given[0]}").COMMAND
         command.arguments(command_parser)
         status = int(command.run(parser.parse_args(given, argparse.Namespace(parser=command_parser))))
@@ -88,41 +85,6 @@ def _run(arguments: list[str] | None) -> int:
             print(flush=True)  # raises again if the pipe is that of the output
         print(error, file=sys.stderr)
     return 2
-
-
-def _warn(message: str) -> None:
-    warn_caller(message, DeprecationWarning)
-
-
-def _print_line(message: str) -> None:
-    print(message, file=sys.stderr)
-
-
-def _present_options(arguments: list[str], report: Callable[[str], None]) -> list[str]:
-    """Return a command line with present names of commands and options; report each old name."""
-    if not arguments:
-        return []
-    command, *words = arguments
-    old = "optimise ENVIRONMENT" if command == "optimise" and words and not words[0].startswith("-") else command
-    if old in COMMANDS and not (command == "optimise" and words[0] in OPTIMISED):
-        report(f"flexman {old} is flexman {COMMANDS[old]} now")
-        command, *added = COMMANDS[old].split()[:2]
-        words = [*added, *words]
-    names, result = OPTIONS.get(command, {}), [command]
-    for word in words:
-        name, mark, value = word.partition("=")
-        if name in names:
-            report(f"flexman {command}: {name} is {names[name]} now")
-        present = names.get(name, "")
-        result += [value] * bool(mark) if present.isupper() else [(present or name) + mark + value]
-    return result
-
-
-def _refuse_removed_options(command: str, words: list[str]) -> None:
-    """Raise ValueError for an option that the command had in an earlier release."""
-    for name in (word.partition("=")[0] for word in words):
-        if name in (removed := REMOVED_OPTIONS.get(command, {})):
-            raise ValueError(f"{name}: this option of flexman {command} was removed: {removed[name]}")
 
 
 def _overview() -> str:

@@ -1,18 +1,15 @@
-"""Write the pages of keywords, migration and commands: python scripts/keywords.py --folder docs"""
+"""Write the pages of keywords and commands: python scripts/keywords.py --folder docs"""
 
 import argparse
 import importlib
-from collections.abc import Mapping
 from pathlib import Path
 
 from flexman_gym.__main__ import COMMAND_GROUPS
-from flexman_gym.common import renamed
 from flexman_gym.common.markdown import markdown_table
 from flexman_gym.envs.config.settings import SETTINGS
-from flexman_gym.simulation.parameters import UNCERTAIN
 from studies.files import folder
 
-KEYWORDS_PAGE, MIGRATION_PAGE = Path("environments", "keywords.md"), Path("migration.md")
+KEYWORDS_PAGE = Path("environments", "keywords.md")
 COMMANDS_PAGE = Path("command_line.md")
 BEGIN, END = "<!-- commands: begin -->\n", "<!-- commands: end -->\n"
 KEYWORDS_HEAD = """# Keywords of environments
@@ -22,18 +19,6 @@ KEYWORDS_HEAD = """# Keywords of environments
 given. `python scripts/keywords.py --folder docs` writes this page from the declarations in
 `flexman_gym/envs/config/settings.py`.
 """
-MIGRATION_HEAD = """---
-search:
-  exclude: true
----
-
-# Migration to 0.3
-
-Release 0.3 renames modules, functions, arguments and keys. Old names work until release 0.4, with a
-`DeprecationWarning` that names the present one; `python -W error::DeprecationWarning` finds them in your code. Files of
-release 0.2 load without a warning: run folders, policies, certificates, scene files, states of environments, and rows
-of a league. `python scripts/keywords.py --folder docs` writes this page from `flexman_gym/common/renamed.py`.
-"""
 
 
 def keywords_page() -> str:
@@ -42,40 +27,7 @@ def keywords_page() -> str:
         [f"`{name}`", each.unit, "of the named environment" if each.named else f"`{each.default!r}`", each.help]
         for name, each in SETTINGS.items()
     ]
-    old = [f"`{old}` is the deprecated name of `{name}`." for name, each in SETTINGS.items() for old in each.deprecated]
-    return "\n".join([KEYWORDS_HEAD, *markdown_table(["keyword", "unit", "default", "meaning"], rows), "", *old, ""])
-
-
-def migration_page() -> str:
-    """Return the page of renamed names as Markdown."""
-    keywords = {old: name for name, each in SETTINGS.items() for old in each.deprecated}
-    ranges = {key: name for name, key in ((name, key) for key, name in UNCERTAIN.items()) if key != name}
-    sections: Mapping[str, tuple[str, Mapping[str, Mapping[str, str]]]] = {
-        "Modules": ("module", {"": renamed.MODULES}),
-        "Functions, classes and constants": ("module", renamed.NAMES),
-        "Arguments of functions": ("function", renamed.ARGUMENTS),
-        "Members of classes": ("class or protocol", renamed.MEMBERS),
-        "Arguments of base controllers": ("", {"": renamed.BASE_ARGUMENTS}),
-        "Keywords of environments": ("", {"": keywords}),
-        "Physical parameters": ("", {"": renamed.PARAMETER_KEYS}),
-        "Ranges in `unknown=` of a base controller": ("", {"": {new: old for old, new in ranges.items()}}),
-        "Integration methods": ("", {"": renamed.METHODS}),
-        "Settings of training runs": ("", {"": renamed.RUN_SETTINGS}),
-        "Commands of `flexman`": ("", {"": renamed.COMMANDS}),
-        "Options of commands": ("command", renamed.OPTIONS),
-        "Columns of league rows": ("", {"": renamed.LEAGUE_COLUMNS}),
-        "Keys of certificates": ("", {"": renamed.CERTIFICATE_KEYS}),
-    }
-    lines = [MIGRATION_HEAD]
-    for title, (place, tables) in sections.items():
-        rows = [
-            [f"`{key}`"] * bool(key) + [f"`{old}`", f"`{present}`"]
-            for key, names in tables.items()
-            for old, present in names.items()
-        ]
-        heads = [place] * bool(rows and len(rows[0]) == 3)
-        lines += [f"## {title}", "", *markdown_table([*heads, "before", "now"], rows), ""]
-    return "\n".join(lines)
+    return "\n".join([KEYWORDS_HEAD, *markdown_table(["keyword", "unit", "default", "meaning"], rows), ""])
 
 
 def commands_table() -> str:
@@ -107,7 +59,6 @@ def main() -> None:
     target: Path = parser.parse_args().folder
     (target / KEYWORDS_PAGE).parent.mkdir(parents=True, exist_ok=True)
     (target / KEYWORDS_PAGE).write_text(keywords_page(), encoding="utf-8")
-    (target / MIGRATION_PAGE).write_text(migration_page(), encoding="utf-8")
     if (path := target / COMMANDS_PAGE).exists():
         path.write_text(commands_page(path.read_text(encoding="utf-8")), encoding="utf-8")
 

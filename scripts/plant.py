@@ -4,7 +4,6 @@ import argparse
 import sys
 from pathlib import Path
 
-from flexman_gym.common.checks import warn_caller
 from flexman_gym.common.computer import computer_text
 from flexman_gym.common.parallel import Workers, parallel_map_unordered
 from studies.files import folder, read_comments, read_rows, write_rows
@@ -16,16 +15,12 @@ def main() -> int:
     """Plant the chosen errors and write rows and page; return 1 if an error survives."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--part", choices=PARTS, help="part of the library; default: all parts")
-    parser.add_argument("--room", choices=PARTS, help=argparse.SUPPRESS)  # deprecated name of --part
     parser.add_argument("--only", default="", help="only errors whose description or file contains this text")
     parser.add_argument("--new", action="store_true", help="skip errors that the rows record as caught")
     parser.add_argument("--redraw", action="store_true", help="write the page from the rows of an earlier run")
     parser.add_argument("--folder", type=folder, default="docs/evidence", help="folder of the page and its rows")
     Workers.arguments(parser)
     options = parser.parse_args()
-    if options.room:
-        warn_caller("plant.py: --room is --part now", DeprecationWarning)
-        options.part = options.room
     file = options.folder / "planted.csv"
     if options.redraw:
         _write_page(file)

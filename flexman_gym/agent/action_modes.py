@@ -1,6 +1,5 @@
 """Action modes: protocol, mode of torques, currents and voltages, and the table of all modes."""
 
-import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -183,10 +182,6 @@ ACTIONS: Registry[ActionModeEntry] = Registry("action mode", {
 def make_action_mode(value: object, plant: Plant, base: Controller | None) -> ActionMode:
     """Make an action mode for a plant and a base; see `parse_kind`. An `ActionMode` is returned unchanged."""
     if isinstance(value, ActionMode):
-        if hasattr(value, "shown") and not hasattr(value, "observation_sizes"):
-            message = f"{type(value).__name__}.shown and look are deprecated; name them observation_sizes and observe"
-            warnings.warn(message, DeprecationWarning, stacklevel=2)
-            value.observation_sizes, value.observe = value.shown, value.look  # type: ignore[attr-defined]
         return value
     name, arguments = parse_kind("actions", value, ACTIONS)
     return ACTIONS[name].make(plant, base, **arguments)

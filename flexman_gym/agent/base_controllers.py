@@ -8,7 +8,6 @@ from typing import Any, Protocol
 from flexman_gym.agent.controller import Controller, Plant
 from flexman_gym.common.checks import mapping, one_of, text, value_error
 from flexman_gym.common.registry import Registry
-from flexman_gym.common.renamed import BASE_ARGUMENTS, rename_keys
 
 
 class _Entry(Protocol):
@@ -32,7 +31,7 @@ def parse_kind(field: str, value: object, table: Mapping[str, _Entry]) -> tuple[
         raise value_error(field, value, "a name, or a mapping with the name under kind and its arguments")
     name = one_of(f"{field}.kind", text(f"{field}.kind", value["kind"]), table)
     given = {text(f"a key of {field}", key): each for key, each in value.items() if key != "kind"}
-    return name, mapping(field, rename_keys(given, BASE_ARGUMENTS, field=field), table[name].arguments)
+    return name, mapping(field, given, table[name].arguments)
 
 
 DEFAULT_TUNING = "none: default weights for every arm"  # tuning of controllers designed from a model

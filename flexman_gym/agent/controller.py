@@ -1,6 +1,5 @@
 """Controller protocol, information given at the start of an episode, and plant model for controller design."""
 
-import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -152,8 +151,6 @@ def saturated(values: Array, changes: Array) -> tuple[Array, Array]:
 def checked_controller(field: str, value: object, others: str = "") -> Controller:
     """Return a value that satisfies the `Controller` protocol.
 
-    A `reset` without the number of arms, the protocol of version 0.2, is adapted with a DeprecationWarning.
-
     Args:
         field: name of the field, for error messages.
         value: any object.
@@ -165,15 +162,12 @@ def checked_controller(field: str, value: object, others: str = "") -> Controlle
     """
     if not isinstance(value, Controller) or isinstance(value, type):
         raise value_error(field, value, f"{others}a Controller: an object with sensors, reset and act")
-    former = False
     for name, expected in METHOD_ARGUMENTS.items():
         call = signature(getattr(value, name))
         if not _accepts(call, expected):
-            former = name == "reset" and _accepts(call, expected[:2])
-            if not former:
-                raise value_error(f"{field}.{name}", str(call), f"({', '.join(expected)})")
+            raise value_error(f"{field}.{name}", str(call), f"({', '.join(expected)})")
     check_member_names(field, value, OPTIONAL_MEMBERS, (*METHOD_ARGUMENTS, "sensors"))
-    return _FormerController(value, field) if former else value
+    return value
 
 
 def _accepts(call: Signature, arguments: Sequence[str]) -> bool:
@@ -182,31 +176,3 @@ def _accepts(call: Signature, arguments: Sequence[str]) -> bool:
     except TypeError:
         return False
     return True
-
-
-class _FormerController:
-    """Adapter for controllers with `reset(arms, episode)`, the protocol of version 0.2."""
-
-    state_fields = ("inner",)
-
-    def __init__(self, inner: Any, field: str) -> None:
-        message = (
-            f"{field}.reset(arms, episode) is deprecated; give reset(arms, episode, count), with the number of arms"
-        )
-        warnings.warn(message, DeprecationWarning, stacklevel=6)
-        self.inner, self.act = inner, inner.act
-
-    @property
-    def sensors(self) -> tuple[str, ...]:
-        """Names of the sensors that the controller reads."""
-        names: tuple[str, ...] = self.inner.sensors
-        return names
-
-    def __getattr__(self, name: str) -> Any:
-        if name in (*OPTIONAL_MEMBERS, "gain_units"):
-            return getattr(self.__dict__["inner"], name)
-        raise AttributeError(f"{type(self).__name__} has no attribute {name}")
-
-    def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
-        """Start new episodes; arguments as in `Controller.reset`."""
-        self.inner.reset(arms, episode)

@@ -11,7 +11,6 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from flexman_gym.commands import CommandLine, output_file
-from flexman_gym.common.renamed import OPTIMISED
 
 
 def _arguments(parser: argparse.ArgumentParser) -> None:
@@ -19,9 +18,8 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
     from flexman_gym.common.parallel import Workers
     from flexman_gym.toolbox.sensitivity.arm_design import DESIGN_METRICS, KEPT
 
-    kinds = parser.add_subparsers(dest="kind", required=True, metavar="|".join(OPTIMISED))
-    slews, gains, arm = (kinds.add_parser(name, help=text, description=text)
-                         for name, text in zip(OPTIMISED, PURPOSES, strict=True))  # fmt: skip
+    kinds = parser.add_subparsers(dest="kind", required=True, metavar="|".join(PURPOSES))
+    slews, gains, arm = (kinds.add_parser(name, help=text, description=text) for name, text in PURPOSES.items())
     slews.add_argument("environment", help="id or file of an environment that randomises starts and goals only")
     slews.add_argument("--seeds", type=int, nargs=2, default=(9000, 100), metavar=("FIRST", "COUNT"),
                        help="first seed and number of episodes (default: 9000 100)")  # fmt: skip
@@ -143,9 +141,9 @@ def _run(options: argparse.Namespace) -> int:
     return {"slews": _run_slews, "gains": _run_gains, "arm": _run_arm}[options.kind](options)
 
 
-PURPOSES = (
-    "Optimise the torques of slews for the shortest settling time.",
-    "Tune the PD gains of an environment, with stability margins.",
-    "Optimise the thickness of the links of an arm, its gear ratios and PD gains, with exact gradients.",
-)
+PURPOSES = {
+    "slews": "Optimise the torques of slews for the shortest settling time.",
+    "gains": "Tune the PD gains of an environment, with stability margins.",
+    "arm": "Optimise the thickness of the links of an arm, its gear ratios and PD gains, with exact gradients.",
+}
 COMMAND = CommandLine(_arguments, _run)

@@ -70,6 +70,15 @@ class KeywordError(TypeError, ValueError):
     """Unknown keyword argument: a TypeError, as of any function, and a ValueError, as for any value not allowed."""
 
 
+class MappingKeyError(ValueError):
+    """Unknown or missing key of a mapping; the readers of files add how a file with old keys is converted."""
+
+
+def key_error(name: str, value: object, allowed: str) -> MappingKeyError:
+    """Return a one-line error for a key of a mapping: its field, its value and the allowed keys."""
+    return MappingKeyError(str(value_error(name, value, allowed)))
+
+
 def keyword_error(name: str, value: object, allowed: str, keyword: str) -> KeywordError:
     """Return a one-line error for an unknown keyword argument.
 
@@ -233,7 +242,10 @@ def mapping(name: str, value: object, keys: Collection[str]) -> dict[str, Any]:
     if not isinstance(value, dict):
         raise value_error(name, value, f"a mapping with some of {', '.join(keys)}")
     for key in value:
-        one_of(name, key, keys)
+        try:
+            one_of(name, key, keys)
+        except ValueError as error:
+            raise MappingKeyError(str(error)) from None
     return value
 
 

@@ -30,6 +30,7 @@ READ_ERRORS = (
 )  # fmt: skip
 MAX_TEXT_BYTES = 1_000_000  # bytes of a text file
 MAX_UNPACKED_BYTES = 100_000_000  # bytes of all arrays of a file after decompression
+CONVERSION = "scripts/convert.py converts old keys"  # end of an error about a key
 
 
 class _Mapping(list[tuple[Any, Any]]):
@@ -134,7 +135,21 @@ def reading(path: str | Path, wrong: str, errors: tuple[type[Exception], ...] = 
         raise
     except errors as error:
         reason = " ".join(str(error).split())[:MAX_REASON] or type(error).__name__
-        raise ValueError(f"{short_path(path)}: this {wrong} ({reason})") from None
+        raise ValueError(f"{short_path(path)}: this {wrong} ({reason}){_conversion(error)}") from None
+
+
+@contextmanager
+def naming(path: str | Path) -> Iterator[None]:
+    """Put the path of a file in front of the message of each ValueError about its content."""
+    try:
+        yield
+    except ValueError as error:
+        raise ValueError(f"{short_path(path)}: {error}{_conversion(error)}") from None
+
+
+def _conversion(error: Exception) -> str:
+    """Return the end of the message of an error in a file: for a key, the script that converts old files."""
+    return f"; {CONVERSION}" if isinstance(error, MappingKeyError) else ""
 
 
 def read_data(path: Path, kind: type = dict, of_package: bool = False) -> Any:

@@ -11,12 +11,15 @@ from typing import Any
 
 import numpy as np
 
-from flexman_gym.common.checks import short_path
-from flexman_gym.common.files import existing_file, open_arrays, reading, regular_file, write_atomically
-from flexman_gym.common.renamed import RUN_SETTINGS, complete_environment, rename_keys
+from flexman_gym.common.checks import key_error
+from flexman_gym.common.files import existing_file, naming, open_arrays, reading, regular_file, write_atomically
 
 SETTINGS, NEWEST, BEST, LOCK = "settings.json", "newest.npz", "best.npz", "lock"
 NO_SETTINGS = "has no settings of a training run"  # predicate of a damaged file of settings
+KEYS = (  # settings of a training run, and the versions of packages with which it was trained
+    "algo", "environment", "steps", "seed", "envs", "hyperparameters", "schedules", "normalise_reward", "eval_every",
+    "value_warmup", "base_in_use", "versions", "earlier_versions",
+)  # fmt: skip
 PLAIN_DATA = "data.json"  # name of the JSON-compatible data among the arrays of a file
 
 
@@ -68,28 +71,45 @@ def _join_arrays(data: Any, arrays: Any) -> Any:
 
 
 def read_settings(folder: Path) -> dict[str, Any]:
-    """Read the settings of a training run, unchecked, under their present names.
+    """Read the settings of a training run; only their keys are checked.
 
     Args:
         folder: folder of the run.
 
     Raises:
         FileNotFoundError: if there are no settings.
-        ValueError: for a file of more than 1 MB or without a JSON mapping, with a one-line message.
+        ValueError: for a file of more than 1 MB or without a JSON mapping, and for an unknown key, with a one-line
+            message.
     """
     path = existing_file(folder / SETTINGS)
-    try:
+    with naming(path):
         text = regular_file(path).read_bytes().decode("utf-8", errors="replace")
-    except ValueError as error:
-        raise ValueError(f"{short_path(path)}: {error}") from None
-    try:
-        result = json.loads(text)
-    except (ValueError, RecursionError):
-        result = None
-    if not isinstance(result, dict):
-        raise ValueError(f"{short_path(path)}: this is no mapping in JSON; give the settings of a training run")
-    complete_environment(result.get("environment"))
-    return rename_keys(result, RUN_SETTINGS, warn=False)
+        try:
+            result = json.loads(text)
+        except (ValueError, RecursionError):
+            result = None
+        if not isinstance(result, dict):
+            raise ValueError("this is no mapping in JSON; give the settings of a training run")
+        check_keys(result)
+    return result
+
+
+def check_keys(settings: dict[str, Any]) -> None:
+    """Raise an error for an unknown key of the stored settings of a run, and for an environment without its method."""
+    for name in settings:
+        if name not in KEYS:
+            raise key_error(name, settings[name], f"one of {', '.join(KEYS)}")
+    check_method(settings.get("environment"))
+
+
+def check_method(environment: object) -> None:
+    """Raise an error for a stored environment without its method, since the default method may change.
+
+    With fidelity="auto" no method is stored, since `choose_model` chooses it.
+    """
+    fixed = isinstance(environment, dict) and environment.get("fidelity", "default") == "default"
+    if fixed and environment.get("method") is None:  # type: ignore[attr-defined]
+        raise key_error("environment.method", None, "the integration method of the training")
 
 
 @contextmanager

@@ -4,13 +4,11 @@ An object lists the attributes of its state in `state_fields`. Arrays, random ge
 numbers, strings, booleans and None are supported as well.
 """
 
-import warnings
 from typing import Any
 
 import numpy as np
 
-from flexman_gym.common.checks import value_error
-from flexman_gym.common.renamed import ADDED_ENTRIES, STATE_FIELDS
+from flexman_gym.common.checks import key_error, value_error
 
 GENERATOR = "bit_generator"  # key of the state of a random generator
 
@@ -54,7 +52,6 @@ def set_state(field: str, old: Any, data: Any) -> Any:
         return _generator(field, data)
     if isinstance(old, dict):
         _check_kind(field, data, dict, "a mapping")
-        data = {name: each for name, each in old.items() if name in ADDED_ENTRIES} | data
         new = {name: set_state(f"{field}.{name}", old.get(name), each) for name, each in data.items()}
         return old if new.keys() == old.keys() and all(new[name] is old[name] for name in new) else new
     if isinstance(old, list | tuple):  # arrays in a tuple are written in place
@@ -66,30 +63,27 @@ def set_state(field: str, old: Any, data: Any) -> Any:
     if old is None or isinstance(old, bool | int | float | str | np.random.Generator):
         return get_state(data)
     names = _state_fields(old)
-    data = _named_fields(field, data, names)
+    _check_kind(field, data, dict, "a mapping")
+    if set(data) != set(names):
+        raise key_error(field, sorted(map(str, data)), f"a mapping with {', '.join(sorted(names)) or 'nothing'}")
     for name in names:
         before = getattr(old, name)
         after = set_state(f"{field}.{name}", before, data[name])
         if after is not before:
-            setattr(old, name, after)
+            _set_field(f"{field}.{name}", old, name, after)
     return old
 
 
-def _named_fields(field: str, data: Any, names: tuple[str, ...]) -> dict[str, Any]:
-    """Return the state of an object under its field names; names of release 0.2 are accepted."""
-    _check_kind(field, data, dict, "a mapping")
-    if set(data) != set(names):
-        data = {STATE_FIELDS.get(name, name): each for name, each in data.items()}
-    if set(data) != set(names):
-        raise value_error(field, sorted(map(str, data)), f"a mapping with {', '.join(sorted(names)) or 'nothing'}")
-    return data
+def _set_field(field: str, owner: Any, name: str, value: Any) -> None:
+    """Set an attribute; a property without a setter refuses new entries, since its arrays are written in place."""
+    try:
+        setattr(owner, name, value)
+    except AttributeError:
+        raise value_error(field, _kind_name(value), "one with the entries of get_state") from None
 
 
 def _state_fields(value: Any) -> tuple[str, ...]:
     """Return the names of the attributes that form the state of an object."""
-    if isinstance(former := getattr(type(value), "kept", None), tuple):  # in user classes for release 0.2
-        warnings.warn(f"{type(value).__name__}.kept is state_fields now", DeprecationWarning, stacklevel=3)
-        return former
     return getattr(value, "state_fields", ())
 
 

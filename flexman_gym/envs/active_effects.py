@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 
 from flexman_gym.common.arrays import Array, BoolArray, IntArray
 from flexman_gym.common.checks import check_member_names, value_error
-from flexman_gym.common.renamed import PARAMETER_KEYS
 from flexman_gym.envs.config.randomisation import Randomisation
 from flexman_gym.envs.effects import HOOKS, SIGNALS, EffectContext
 from flexman_gym.envs.random_streams import RandomStreams
@@ -58,7 +57,7 @@ class ActiveEffects:
                 if signal.shape is not None:
                     shapes[name] = signal.shape
         kinds = {name: getattr(signal, "kind", float) for name, signal in self._signals.items()}
-        self.drawn = {name: np.zeros((arms, *shape), dtype=kinds.get(name, float)) for name, shape in shapes.items()}
+        self._drawn = {name: np.zeros((arms, *shape), dtype=kinds.get(name, float)) for name, shape in shapes.items()}
         self._streams = RandomStreams([_stream_name(name) for name in self._ranges], arms)
         self._hooks = {hook: [getattr(each, hook) for each in self._signals.values() if hasattr(each, hook)]
                        for hook in HOOKS}  # fmt: skip
@@ -70,8 +69,9 @@ class ActiveEffects:
 
     @drawn.setter
     def drawn(self, values: dict[str, NDArray[Any]]) -> None:
-        # saved states of release 0.2 have old names
-        self._drawn = {PARAMETER_KEYS.get(name, name): each for name, each in values.items()}
+        if values.keys() != self._drawn.keys():  # of a saved state
+            raise value_error("effects.drawn", sorted(values), f"the effects {', '.join(self._drawn)}")
+        self._drawn = values
 
     def draw(
         self, arms: IntArray, randoms: Sequence[np.random.Generator], given: Mapping[str, Array]
@@ -159,7 +159,7 @@ class ActiveEffects:
 
 
 def _stream_name(effect: str) -> str:
-    """Return the name that seeds the stream of an effect: without the suffix "_factor", which release 0.2 lacked."""
+    """Return the name that seeds the stream of an effect: without the suffix "_factor" of relative ranges."""
     return effect.removesuffix("_factor")
 
 

@@ -106,9 +106,7 @@ class FlexManEnv(StatefulEnv, gym.Env[Observation, Observation]):
         is a bound of the tip error in that slew, and approximately in similar motions.
 
     Version history
-        v0: first version. Up to release 0.1.0 the method was "ros2" with steps of 5 ms, which numerically added or
-        removed energy in free vibrations. `method="ros2", step=0.005` restores the rewards and observations of 0.1.0.
-        In release 0.2.0 the method was "midpoint_3", with the same steps; `method="midpoint_3"` restores it.
+        v0: first version.
 
     Args:
         infos: "always"; "flat" for an info of numbers and arrays only (see `flat_info`); "at end" for one only at the

@@ -8,9 +8,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from flexman_gym.common.arrays import Array
-from flexman_gym.common.checks import value_error
-from flexman_gym.common.renamed import MEMBERS, deprecated_members
+from flexman_gym.common.checks import key_error, value_error
 from flexman_gym.common.snapshot import get_state, set_state
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.episodes import Episodes
@@ -18,7 +16,6 @@ from flexman_gym.envs.episodes import Episodes
 Observations = NDArray[np.float32]
 
 
-@deprecated_members(**MEMBERS["FlexManEnv, FlexManVectorEnv"])
 class StatefulEnv:
     """Base class of the single and the vector environment, with methods to get, set and copy the complete state."""
 
@@ -51,11 +48,10 @@ class StatefulEnv:
         Raises:
             ValueError: for the state of a different environment; the episodes are then over.
         """
-        state = _renamed(state, np.zeros_like(self.episodes.agent.command))
         names = {*self.state_fields, *self.spaces, "episodes", "agent"}
         if not isinstance(state, dict) or state.keys() != names:
             result = sorted(map(str, state)) if isinstance(state, dict) else state
-            raise value_error("state", result, f"a result of get_state: {', '.join(sorted(names))}")
+            raise key_error("state", result, f"a result of get_state: {', '.join(sorted(names))}")
         fields = {name: set_state(f"state.{name}", getattr(self, name), state[name]) for name in self.state_fields}
         spaces = {name: set_state(f"state.{name}", None, state[name]) for name in self.spaces}
         for name, random in {**fields, **spaces}.items():
@@ -97,24 +93,6 @@ class StatefulEnv:
     def _generators(self, restored: dict[str, Any]) -> list[np.random.Generator | None]:
         """Return the random generator of each arm from restored values of `state_fields`."""
         raise NotImplementedError
-
-
-def _renamed(state: Any, command: Array) -> Any:
-    """Return a state of release 0.2, which stored the observations with the sensors, under the current names."""
-    if not isinstance(state, dict) or not all(isinstance(state.get(name), dict) for name in ("acting", "episodes")):
-        return state
-    episodes, state = dict(state["episodes"]), dict(state)
-    try:
-        sight = dict(episodes.pop("sight"))
-        own = {
-            "_history": sight.pop("_history"),
-            "observations": sight.pop("seen"),
-            "_ages": episodes["_ages"],
-            "command": command,
-        }
-    except (KeyError, TypeError, ValueError):
-        return state
-    return state | {"episodes": episodes | {"measurements": sight}, "agent": state.pop("acting") | own}
 
 
 def _restored(kind: type[Any], arguments: dict[str, Any], spec: Any, state: dict[str, Any]) -> Any:

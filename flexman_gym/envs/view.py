@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from flexman_gym.common.arrays import Array
-from flexman_gym.common.renamed import MEMBERS, deprecated_members
 from flexman_gym.kernels import layout
 from flexman_gym.kernels.control_period import fill_views, sparse_product
 from flexman_gym.kernels.rigid_arm import inverse_kinematics as solve_inverse_kinematics
@@ -24,7 +23,6 @@ DAMPED_SINGULAR_VALUE = 1e-4  # fraction of the reach; damping factor of the dam
 Number = Any  # array (b,), or a number for a single arm; supports arithmetic and the functions of NumPy
 
 
-@deprecated_members(**MEMBERS["View"])
 class View:
     """State and goals of b arms with n links, as named arrays (b, ...).
 

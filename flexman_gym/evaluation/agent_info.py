@@ -7,7 +7,6 @@ from typing import Any
 
 from flexman_gym.agent.base_controllers import BASES
 from flexman_gym.common.checks import short_path, value_error
-from flexman_gym.common.renamed import RUN_SETTINGS, rename_keys
 from flexman_gym.common.run_folder import SETTINGS, read_settings
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.sensors import plain_sensors
@@ -142,6 +141,5 @@ def check_seeds_unseen(agent: str, seeds: Sequence[int]) -> None:
 def _settings(agent: str) -> dict[str, Any]:
     if folder := policy_folder(agent):
         metadata = read_policy(folder).metadata
-        settings = rename_keys(metadata["recipe"]["settings"], RUN_SETTINGS, warn=False)
-        return {**settings, "environment": metadata["environment"]}
+        return {**metadata["recipe"]["settings"], "environment": metadata["environment"]}
     return read_settings(training_folder(agent))

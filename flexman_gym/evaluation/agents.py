@@ -19,11 +19,10 @@ from flexman_gym.agent.controller import Controller, EpisodeInfo, Readings
 from flexman_gym.agent.mode_wrapper import ModeWrapper
 from flexman_gym.agent.network import Network
 from flexman_gym.common.arrays import Array, BoolArray, IntArray
-from flexman_gym.common.checks import short_path, unknown_name, value_error
-from flexman_gym.common.files import existing_file, reading
-from flexman_gym.common.renamed import RUN_SETTINGS, complete_environment, rename_keys
-from flexman_gym.common.run_folder import BEST, NEWEST, NO_SETTINGS, SETTINGS, read_npz, read_settings
-from flexman_gym.envs.config.configuration import RENAMED, Configuration
+from flexman_gym.common.checks import unknown_name, value_error
+from flexman_gym.common.files import existing_file, naming, reading
+from flexman_gym.common.run_folder import BEST, NEWEST, NO_SETTINGS, SETTINGS, check_keys, read_npz, read_settings
+from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.envs.config.specification import make_base_and_mode
 from flexman_gym.evaluation.policy_files import METADATA, POLICIES, policy_folder, read_policy
@@ -183,15 +182,12 @@ def training_folder(name: str) -> Path:
 def _load_policy(folder: Path) -> AgentSpec:
     """Load an exported policy without executing code; check that its sensors still have the readings of the export."""
     metadata, network = read_policy(folder)
-    try:
+    with naming(folder / METADATA):
         environment = Configuration.from_plain(metadata["environment"])
         if observation_layout(environment) != metadata["observation"]:
             raise value_error("observation", metadata["observation"], "the names, units and sizes of its sensors here")
-        return AgentSpec.from_network(
-            folder.name, network, environment, metadata["recipe"]["settings"].get("base_in_use")
-        )
-    except ValueError as error:
-        raise ValueError(f"{short_path(folder / METADATA)}: {error}") from None
+        base_in_use = metadata["recipe"]["settings"].get("base_in_use")
+        return AgentSpec.from_network(folder.name, network, environment, base_in_use)
 
 
 def observation_layout(environment: Configuration) -> list[dict[str, Any]]:
@@ -215,10 +211,8 @@ def _load_run(folder: Path) -> AgentSpec:
     path = folder / BEST if (folder / BEST).is_file() else existing_file(folder / NEWEST)
     data = read_npz(path)
     check_settings(path, data, settings)
-    try:
+    with naming(path):
         network = Network(algo, activation, data.get("policy"), data.get("statistics"))
-    except ValueError as error:
-        raise ValueError(f"{short_path(path)}: {error}") from None
     return AgentSpec.from_network(folder.name, network, environment, base_in_use)
 
 
@@ -315,7 +309,7 @@ def _change(environment: Configuration, changes: Sequence[str]) -> Configuration
         return environment
     for change in changes:
         name = change.split("=")[0].split(".")[0]
-        if RENAMED.get(name, name) in INTERFACE:
+        if name in INTERFACE:
             allowed = f"a setting of the environment: {', '.join(INTERFACE)} belong to the agent"
             raise value_error("--set", change, allowed)
     return split_interface(environment.changed(changes))[0]
@@ -349,8 +343,8 @@ def check_settings(path: Path, data: Any, settings: Mapping[str, Any]) -> None:
     stored = data.get("settings") if isinstance(data, dict) else None
     if not isinstance(stored, dict):
         raise ValueError(f"{path}: this is no file of a training run (it has no settings)")
-    complete_environment(stored.get("environment"))
-    stored = rename_keys(stored, RUN_SETTINGS, warn=False)
+    with naming(path):
+        check_keys(stored)
     names = stored.keys() - set(CHANGEABLE_SETTINGS)
     changed = [name for name in names if not _is_equal(settings.get(name), stored.get(name))]
     if changed:

@@ -1,6 +1,5 @@
 """Metrics of episodes, their aggregates over episodes (mean, median or share), and a table of agents."""
 
-import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -123,9 +122,6 @@ DEFAULT_TASK_METRICS = ("settling_time", "error")  # metrics of a task without t
 def task_metrics(task: Any) -> tuple[Metric, ...]:
     """Return the metrics of a task: the general metrics, and the metrics named in its attribute `metrics`."""
     names = getattr(task, "metrics", DEFAULT_TASK_METRICS)
-    if hasattr(task, "figures") and not hasattr(task, "metrics"):
-        warnings.warn("task.figures is deprecated; give metrics", DeprecationWarning, stacklevel=2)
-        names = task.figures
     checked = [one_of("task.metrics", name, METRICS) for name in names]
     return tuple(metric for name, metric in METRICS.items() if metric.for_all_tasks or name in checked)
 
@@ -136,7 +132,6 @@ def _limit_metrics(record: EpisodeRecord) -> tuple[Metric, ...]:
     return limits if record.changes is None else (*limits, SAFETY_METRIC)
 
 
-@deprecated_arguments(**ARGUMENTS["evaluate"])
 def evaluate(
     agent: str | AgentSpec | Controller,
     environment: str | Configuration,

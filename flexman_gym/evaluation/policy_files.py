@@ -13,9 +13,9 @@ from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
 from flexman_gym.agent.network import Network, policy_parameters
-from flexman_gym.common.checks import one_of, short_path, short_repr, value_error
+from flexman_gym.common.checks import key_error, mapping, one_of, short_repr, value_error
 from flexman_gym.common.files import existing_file, reading, regular_file, write_atomically
-from flexman_gym.common.renamed import CERTIFICATE_KEYS, complete_environment, current_methods
+from flexman_gym.common.run_folder import check_keys, check_method
 
 FOLDER = Path(__file__).parents[1] / "policies"
 METADATA, ARRAYS, CERTIFICATE = "policy.json", "policy.safetensors", "certificate.json"
@@ -29,6 +29,7 @@ KEYS = (
 )  # fmt: skip
 STATISTICS, CHECKS = ("statistics.mean", "statistics.var"), ("check.observations", "check.actions")
 REQUIRED_KEYS = (("arrays_hash", str), ("fails", list), ("rows", list))  # keys of a certificate and their types
+CERTIFICATE_KEYS = (*(name for name, _ in REQUIRED_KEYS), "computer")
 CHECK_ROWS = 64  # number of observations stored with their actions as a check of the network
 CHECK_TOLERANCE = 1e-9  # dimensionless; largest difference of an action from the stored action
 
@@ -113,24 +114,15 @@ def read_certificate(folder: Path) -> dict[str, Any] | None:
     path = folder / CERTIFICATE
     if not path.is_file():
         return None
-    try:
-        result = _present_keys(_parse_json(_read_bytes(path)))
+    with reading(path, "is no certificate", (ValueError,)):
+        result = _parse_json(_read_bytes(path))
+        if isinstance(result, dict):
+            mapping("certificate", result, CERTIFICATE_KEYS)
         if not isinstance(result, dict) or not all(isinstance(result.get(name), kind) for name, kind in REQUIRED_KEYS):
             raise ValueError(f"give a mapping with {', '.join(name for name, _ in REQUIRED_KEYS)}")
-        result["rows"] = [_present_keys(row) for row in result["rows"]]
         if not all(isinstance(row, dict) and isinstance(row.get("scenario"), str) for row in result["rows"]):
             raise ValueError("give rows that are mappings with a scenario")
-    except ValueError as error:
-        raise ValueError(f"{short_path(path)}: this is no certificate ({error})") from None
-    for row in result["rows"]:
-        row["scenario"] = current_methods(row["scenario"])
-    result["fails"] = [current_methods(str(each)) for each in result["fails"]]
     return result if result["arrays_hash"] == _parse_json(_read_bytes(folder / METADATA)).get("arrays_hash") else None
-
-
-def _present_keys(data: Any) -> Any:
-    """Return a mapping under the current names of its keys, see CERTIFICATE_KEYS; data of other types unchanged."""
-    return {CERTIFICATE_KEYS.get(name, name): value for name, value in data.items()} if isinstance(data, dict) else data
 
 
 def describe_policy(name: str) -> str:
@@ -158,7 +150,7 @@ def exceeded_limits(name: str) -> list[tuple[str, str]]:
 
     Returns:
         Changes that are given to the controller, such as "delay=3" or "@mujoco", with the values beyond a limit and the
-        limits ("" in certificates of version 0.2); [] without a certificate.
+        limits ("" without them); [] without a certificate.
     """
     certificate = read_certificate(FOLDER / name) or {"fails": [], "rows": []}
     reasons = {row["scenario"]: str(row["fails"]) for row in certificate["rows"][::-1] if row.get("fails")}
@@ -191,13 +183,14 @@ def _parse_metadata(content: bytes) -> dict[str, Any]:
     """Return the metadata of a policy after a check of keys, format, and hashes of environment and settings."""
     metadata = _parse_json(content)
     if not isinstance(metadata, dict) or set(metadata) != set(KEYS):
-        raise value_error("keys", sorted(metadata) if isinstance(metadata, dict) else metadata, ", ".join(KEYS))
+        raise key_error("keys", sorted(metadata) if isinstance(metadata, dict) else metadata, ", ".join(KEYS))
     if metadata["format"] != FORMAT:
         raise value_error("format", metadata["format"], FORMAT)
     for name, data in (("environment", metadata["environment"]), ("settings", metadata["recipe"]["settings"])):
         if _json_hash(data) != metadata[f"{name}_hash"]:
             raise value_error(name, "data with another hash", f"the {name} of the export")
-    complete_environment(metadata["environment"])
+    check_keys(metadata["recipe"]["settings"])
+    check_method(metadata["environment"])
     return metadata
 
 

@@ -15,7 +15,6 @@ from flexman_gym.agent.controller import Controller
 from flexman_gym.common.arrays import Array, IntArray
 from flexman_gym.common.checks import value_error, whole_number
 from flexman_gym.common.progress import Progress
-from flexman_gym.common.renamed import ARGUMENTS, MEMBERS, deprecated_arguments, deprecated_members
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.episodes import Episodes, validate_actions
 from flexman_gym.evaluation.agents import AgentSpec, find_agent, split_interface
@@ -90,7 +89,6 @@ class EpisodeRecord:
         return np.inf if np.isnan(ratio) else ratio
 
 
-@deprecated_members(**MEMBERS["Rollout"])
 @dataclass(frozen=True, eq=False)
 class Rollout:
     """Records of b episodes as arrays, with NaN after the end of each episode.
@@ -185,7 +183,6 @@ def save_rollouts(results: Sequence[Rollout], folder: Path) -> list[Path]:
     return [path for result, own in zip(results, folders, strict=True) for path in result.save(own)]
 
 
-@deprecated_arguments(**ARGUMENTS["rollout"])
 def rollout(
     agent: str | AgentSpec | Controller,
     environment: str | Configuration,

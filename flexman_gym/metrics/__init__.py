@@ -5,7 +5,6 @@ after the reset, at time zero. Errors are distances between tip and target. Acti
 of the torque limits.
 """
 
-from flexman_gym.common.renamed import deprecated_names
 from flexman_gym.metrics.signals import (
     BAND,
     MOVE_BANDS,
@@ -67,5 +66,3 @@ __all__ = [
     "stratified_interval",
     "upper_median",
 ]
-
-__getattr__ = deprecated_names(__name__)

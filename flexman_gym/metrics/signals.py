@@ -4,7 +4,6 @@ import numpy as np
 
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import MAX_SIZE, non_negative, one_of, physical, positive, value_error
-from flexman_gym.common.renamed import ARGUMENTS, deprecated_arguments
 
 
 def check_samples(name: str, values: object, *axes: int) -> Array:
@@ -116,7 +115,6 @@ def attained_distances(tips: Array, period: float) -> Array:
     return np.linalg.norm(result - _last_samples(result, period, SETTLING_WINDOW).mean(axis=0), axis=1)
 
 
-@deprecated_arguments(**ARGUMENTS["move_band"])
 def move_band(errors: Array, fraction: float) -> float:
     """Return a settling band, m, as a fraction of the initial distance between tip and target.
 
@@ -217,7 +215,6 @@ def damping_ratio(signal: Array) -> float:
     return decrement / float(np.hypot(2.0 * np.pi, decrement))
 
 
-@deprecated_arguments(**ARGUMENTS["remaining_energy"])
 def remaining_energy(energies: Array, reference: str = "largest") -> float:
     """Return the last energy as a fraction of a reference energy.
 

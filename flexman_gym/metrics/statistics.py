@@ -11,7 +11,6 @@ import numpy as np
 
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import finite, positive, value_error, whole_number
-from flexman_gym.common.renamed import ARGUMENTS, deprecated_arguments
 from flexman_gym.metrics.signals import check_samples
 
 MAX_DRAWN = 10**8  # largest number of values in all bootstrap samples of an interval
@@ -111,7 +110,6 @@ def stratified_interval(
     return _interval(statistic(result[indices, np.arange(strata)].reshape(draws, -1)), level)
 
 
-@deprecated_arguments(**ARGUMENTS["paired_score"])
 def paired_score(
     returns: Array, zeros: Array, ones: Array, level: float = 0.95, draws: int = 2000
 ) -> tuple[float, float, float]:
@@ -172,7 +170,6 @@ def improvements(scores: Array, others: Array) -> Array:
     return np.where(own == other, 0.5, own > other)
 
 
-@deprecated_arguments(**ARGUMENTS["normalised_scores"])
 def normalised_scores(returns: Array, zero: float, one: float, largest: float) -> Array | None:
     """Return scores (...), linear in the returns; None if the two reference returns are too close.
 

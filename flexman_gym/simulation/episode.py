@@ -29,7 +29,6 @@ ARRAY_AXES = {
 }  # fmt: skip
 
 
-@deprecated_members(**MEMBERS["Episode"])
 @dataclass(frozen=True, eq=False)
 class Episode:
     """Record of T control periods of one arm, or of T + 1 output times of a scene; missing quantities are nan.

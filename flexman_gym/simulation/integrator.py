@@ -9,7 +9,6 @@ import numpy as np
 
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import one_of, positive, value_error
-from flexman_gym.common.renamed import current_methods
 from flexman_gym.kernels import implicit, layout, outputs, runge_kutta
 from flexman_gym.kernels.arguments import address_table, aligned_zeros
 from flexman_gym.kernels.lanes import SEQUENCES
@@ -53,14 +52,8 @@ MIN_SEQUENCES, MIN_SEQUENCES_RIGID = 4, 6
 
 
 def find_method(method: object) -> Method:
-    """Return the method of a name, or the method itself.
-
-    A name of an earlier release is accepted with a DeprecationWarning.
-    """
-    if isinstance(method, Method):
-        return method
-    name = current_methods(method, warn=True) if isinstance(method, str) else method
-    return METHODS[one_of("method", name, METHODS)]
+    """Return the method of a name, or the method itself."""
+    return method if isinstance(method, Method) else METHODS[one_of("method", method, METHODS)]
 
 
 def find_tolerance(method: Method, step: float | None, rtol: float, atol: float) -> tuple[float, float] | None:

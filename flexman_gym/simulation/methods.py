@@ -17,7 +17,6 @@ import numpy as np
 
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import finite, instance, positive, value_error, whole_number
-from flexman_gym.common.renamed import current_methods
 from flexman_gym.kernels.layout import MAX_SEQUENCES, MAX_STAGES, GeneralisedAlpha, Tableau
 
 A5 = (
@@ -455,13 +454,6 @@ class _Methods(dict[str, Method]):
         >>> [name for name, method in fm.METHODS.items() if method.kind == "reference"]
         ['dop853', 'radau']
     """
-
-    def __missing__(self, name: str) -> Method:
-        """Return the method of an old name, with a DeprecationWarning."""
-        present = current_methods(str(name), warn=True)
-        if present == name:
-            raise KeyError(name)
-        return self[present]
 
 
 METHODS = _Methods(

@@ -15,7 +15,6 @@ from flexman_gym.common.checks import (
     value_error,
     whole_number,
 )
-from flexman_gym.common.renamed import PARAMETER_KEYS, rename_keys
 from flexman_gym.model.joint_constants import spring_knees
 from flexman_gym.model.model import Model
 from flexman_gym.scene.arm import Arm
@@ -274,7 +273,6 @@ def varied_constants(model: Model, count: int, parameters: Mapping[str, object])
     Raises:
         ValueError: as `Batch.vary`.
     """
-    parameters = rename_keys(parameters, PARAMETER_KEYS, field="parameters")
     rows = {name: PARAMETERS[one_of("parameters", name, PARAMETERS)] for name in parameters}
     checked = {name: row.checked(name, parameters[name], model, count) for name, row in rows.items()}
     result: dict[str, Array] = {}

@@ -6,7 +6,6 @@ import numpy as np
 
 from flexman_gym.common.arrays import Array, Vector
 from flexman_gym.common.checks import check_magnitudes, number_array, value_error, vector
-from flexman_gym.common.renamed import MEMBERS, deprecated_members
 from flexman_gym.kernels import layout
 from flexman_gym.kernels.layout import STATUS
 from flexman_gym.model.model import Model
@@ -17,7 +16,6 @@ from flexman_gym.simulation.methods import DEFAULT_METHOD, Method
 from flexman_gym.simulation.trajectory import ENERGY_ALARM, Trajectory
 
 
-@deprecated_members(**MEMBERS["Simulator"])
 class Simulator:
     """Simulation of one arm, one control period at a time, under inputs that are constant in each period.
 

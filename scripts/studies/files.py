@@ -8,7 +8,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any, TypeVar
 
-from flexman_gym.common.renamed import current_methods
+from flexman_gym.common.files import CONVERSION
 
 
 def folder(text: str) -> Path:
@@ -30,7 +30,6 @@ def folder(text: str) -> Path:
 Kind = TypeVar("Kind")
 COMMENT = "# "  # prefix of a comment line in a CSV file
 WAITING = "waiting for new rows: "  # begins the reason in a comment for which the rows are no longer current
-RENAMED_COLUMNS = {"room": "part"}  # column name in files of earlier releases -> present name
 
 
 def write_rows(rows: Sequence[Any], path: Path, digits: int = 6, comment: str = "") -> None:
@@ -47,11 +46,17 @@ def write_rows(rows: Sequence[Any], path: Path, digits: int = 6, comment: str = 
 
 
 def read_rows(path: Path, kind: type[Kind]) -> list[Kind]:
-    """Read the rows of a CSV file as a dataclass whose fields are strings, numbers or None."""
+    """Read the rows of a CSV file as a dataclass whose fields are strings, numbers or None.
+
+    Raises:
+        ValueError: for a column that is no field of the dataclass.
+    """
     texts = {field.name for field in fields(kind) if field.type is str}  # type: ignore[arg-type]
     with path.open(newline="", encoding="utf-8") as file:
         lines = csv.DictReader(line for line in file if not line.startswith(COMMENT))
-        lines.fieldnames = [RENAMED_COLUMNS.get(name, name) for name in lines.fieldnames or ()]
+        for name in lines.fieldnames or ():
+            if name not in {field.name for field in fields(kind)}:  # type: ignore[arg-type]
+                raise ValueError(f"{path}: {name} is not a column of {kind.__name__}; {CONVERSION}")
         return [kind(**{name: _value(text, name in texts) for name, text in line.items()}) for line in lines]
 
 
@@ -77,5 +82,5 @@ def split_waiting(comment: str) -> tuple[str, str]:
 
 def _value(text: str, is_text: bool) -> Any:
     if is_text:
-        return current_methods(text)
+        return text
     return float(text) if text else None

@@ -48,8 +48,6 @@ def test_a_mapping_gives_arguments_in_place_of_what_is_usual():
     weights = make_base({"kind": "lqr", "weights": WEIGHTS}, plant()).weights
     assert weights == CostWeights(**WEIGHTS) != make_base("lqr", plant()).weights
     assert make_base({"kind": "lqr-tracking", "timing_law": "trapezoid"}, plant()).timing_law == "trapezoid"
-    with pytest.warns(DeprecationWarning, match="base.law is timing_law now"):
-        assert make_base({"kind": "lqr-tracking", "law": "trapezoid"}, plant()).timing_law == "trapezoid"
 
 
 def test_a_shaped_pd_takes_the_arguments_of_both():

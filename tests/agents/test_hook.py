@@ -6,7 +6,6 @@ import pytest
 
 pytest.importorskip("stable_baselines3")
 
-from flexman_agents.callbacks import TrainingReport
 from flexman_agents.settings import Settings
 from flexman_agents.training import resume, train, train_or_resume
 from flexman_gym.common.run_folder import BEST, read_npz
@@ -67,9 +66,3 @@ def test_the_policy_of_the_end_is_evaluated_but_not_that_of_a_run_that_was_stopp
     assert {name: values.tobytes() for name, values in best.items()} == bits(tmp_path / "whole")
     train(settings, tmp_path / "stopped", progress=False, hook=lambda report: report.steps > 0)
     assert not (tmp_path / "stopped" / BEST).exists()
-
-
-def test_the_old_name_of_the_metrics_in_a_report_warns():
-    report = TrainingReport(1, {"reward": 2.0}, lambda: None)
-    with pytest.warns(DeprecationWarning, match=r"TrainingReport\.figures is TrainingReport\.metrics now"):
-        assert report.figures == {"reward": 2.0}

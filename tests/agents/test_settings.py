@@ -1,8 +1,6 @@
 """Settings: from mappings, files and the record of a run; what is wrong is named in one line."""
 
 import json
-import warnings
-from dataclasses import replace
 
 import pytest
 from hypothesis import given
@@ -19,7 +17,6 @@ from flexman_agents.settings import (
     find_recipe,
 )
 from flexman_gym.common import files
-from flexman_gym.common.renamed import RUN_SETTINGS
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.evaluation.rollouts import SELECTION_SEEDS, TEST_SEEDS, TRAINING_SEEDS_STRIDE, training_seed
 
@@ -89,7 +86,10 @@ def test_every_recipe_can_be_read_and_trained(name):
         ({"algo": "dqn"}, "algo: 'dqn' is not allowed; give one of ppo, sac"),
         ({"environment": {"id": "CartPole-v1"}}, "id: 'CartPole-v1' is not allowed; give one of FlexRRR-v0, Flex"),
         ({"environment": "FlexRRR-v0"}, "environment: 'FlexRRR-v0' is not allowed; give a mapping"),
-        ({"environment": {"holds": 5}}, "holds: 5 is not allowed; give a setting: the nearest is action_repeat;"),
+        (
+            {"environment": {"action_repeats": 5}},
+            "action_repeats: 5 is not allowed; give a setting: the nearest is act",
+        ),
         ({"environment": {"action_repeat": 0}}, "action_repeat: 0 is not allowed; give a whole number from 1 to 1000"),
         ({"steps": 0}, "steps: 0 is not allowed; give a whole number from 1"),
         ({"seed": -1}, "seed: -1 is not allowed; give a whole number from 0"),
@@ -135,30 +135,6 @@ def test_a_broken_record_names_its_file(tmp_path, text):
     (tmp_path / "settings.json").write_text(text)
     line = refusal(Settings.load, tmp_path)
     assert line.startswith(f"{tmp_path / 'settings.json'}: ") and "settings of a training run" in line
-
-
-# Names of release 0.2
-
-
-@pytest.mark.parametrize(("old", "present"), RUN_SETTINGS.items())
-def test_an_old_setting_is_accepted_with_a_warning_and_one_of_a_run_without(old, present, tmp_path):
-    """In a recipe, as an argument, and in the settings that a run has kept."""
-    inside = "rounds" in old
-    recipe = {"algo": "dagger", "hyperparameters": {old: 7}} if inside else {old: 7}
-    expected = Settings("dagger", hyperparameters={present: 7}) if inside else Settings(**{present: 7})
-    files.write_data(tmp_path / "recipe.yaml", recipe)
-    with pytest.warns(DeprecationWarning, match=f"^{old} is {present} now$"):
-        assert Settings.recipe(tmp_path / "recipe.yaml") == expected
-    if not inside:
-        with pytest.warns(DeprecationWarning, match=f"{old}=.* is deprecated; give {present}="):
-            assert replace(Settings(), **{old: 7}) == expected
-    record = json.dumps(expected.plain()).replace(f'"{present}"', f'"{old}"')
-    (tmp_path / "settings.json").write_text(record)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        assert Settings.load(tmp_path) == expected
-    line = refusal(Settings.from_dict, {old: 7, present: 7})
-    assert line == f"{old}: 7 is not allowed; give {present} only, its present name"
 
 
 # Schedules

@@ -14,8 +14,7 @@ import flexman_gym as fm
 from flexman_gym.__main__ import COMMAND_GROUPS, main
 from flexman_gym.agent.base_controllers import BASES
 from flexman_gym.commands.list import KINDS
-from flexman_gym.common import renamed
-from flexman_gym.common.renamed import OPTIMISED
+from flexman_gym.commands.optimise import PURPOSES
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.envs.registration import CONDITIONS
@@ -78,28 +77,11 @@ def test_a_misspelt_command_is_answered_with_the_nearest(typed, meant, capsys):
     assert f"the nearest is {meant}" in line and typed in line
 
 
-def test_old_commands_reach_the_present_ones_with_a_warning(capsys):
-    """Both end at the unknown environment; every kind of optimisation has its help."""
-    with (
-        pytest.warns(DeprecationWarning, match="flexman tune is flexman optimise gains now"),
-        pytest.raises(SystemExit),
-    ):
-        main(["tune", "FlexPlanar-v9"])
-    with pytest.warns(DeprecationWarning, match="is flexman optimise slews ENVIRONMENT now"):
-        assert main(["optimise", "FlexPlanar-v9", "--out", "slews.npz"]) == 2
-    assert capsys.readouterr().err.count("environment: FlexPlanar-v9 does not exist; give the path of a file, or ") == 2
-    for kind in OPTIMISED:
-        with pytest.raises(SystemExit) as stop:
-            main(["optimise", kind, "--help"])
-        assert stop.value.code == 0 and len(capsys.readouterr().out.splitlines()) <= SCREEN
-
-
-@pytest.mark.parametrize("old", ["enjoy", "certify"])
-def test_an_old_command_in_a_terminal_prints_a_line_with_the_present_one(old, monkeypatch, capsys, recwarn):
-    monkeypatch.setattr(sys, "argv", ["flexman", old, "nobody"])
-    assert main() == 2
-    first, *others = capsys.readouterr().err.splitlines()
-    assert first == f"flexman {old} is flexman {renamed.COMMANDS[old]} now" and len(others) == 1 and not list(recwarn)
+@pytest.mark.parametrize("kind", PURPOSES)
+def test_each_kind_of_optimisation_has_its_help(kind, capsys):
+    with pytest.raises(SystemExit) as stop:
+        main(["optimise", kind, "--help"])
+    assert stop.value.code == 0 and len(capsys.readouterr().out.splitlines()) <= SCREEN
 
 
 def test_the_version_is_that_of_the_package(capsys):
@@ -208,11 +190,9 @@ def test_the_league_is_played_and_grows(tmp_path, capsys):
     assert all(any(line.startswith(f"| `{agent}` |") for line in lines) for agent in ("zero", "privileged-lqr", "pd"))
 
 
-def test_a_league_takes_the_options_of_version_0_2_and_is_redrawn_without_a_run(tmp_path, capsys, monkeypatch):
-    old = ["--entrants", "zero", "--environments", "FlexOne-v0"]
-    lines = ("--entrants is --agents now", "--environments is --scenarios now")
-    with pytest.warns(DeprecationWarning, match=lines[0]), pytest.warns(DeprecationWarning, match=lines[1]):
-        assert main(["league", "--folder", str(tmp_path), "--episodes", "1", *old]) == 0
+def test_a_league_is_redrawn_without_a_run(tmp_path, capsys, monkeypatch):
+    chosen = ["--agents", "zero", "--scenarios", "FlexOne-v0"]
+    assert main(["league", "--folder", str(tmp_path), "--episodes", "1", *chosen]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[1:4] == ["| agent | FlexOne-v0 |", "| --- | --- |", "| `zero` | 0 % |"]
     page = (tmp_path / "league.md").read_bytes()
@@ -312,9 +292,7 @@ def test_the_exit_status_says_whether_a_policy_is_within_its_limits(
     path.write_text(json.dumps({"arrays_hash": "", "fails": fails}))
     monkeypatch.setattr(certificate, "certify", lambda *_, **__: path)
     assert main(["league", "--agent", "lab-flexrrr"]) == status
-    with pytest.warns(DeprecationWarning, match="flexman certify is flexman league --agent now"):
-        assert main(["certify", "lab-flexrrr"]) == status
-    assert capsys.readouterr().out == 2 * f"{path}: {words}\n"
+    assert capsys.readouterr().out == f"{path}: {words}\n"
 
 
 def drawn(capsys, *words):

@@ -191,9 +191,3 @@ def test_time_scaling_needs_two_samples_per_cycle(tmp_path, capsys):
         "motion: '10 samples per s for a mode at 5.2 Hz' is not allowed; give a motion with more than 10.4 samples "
         "per s (--rate)"
     )
-
-
-def test_the_old_name_is_deprecated(capsys):
-    with pytest.warns(DeprecationWarning, match="flexman resonance is flexman shape now"):
-        assert main(["resonance", "nowhere.json"]) == 2
-    assert "nowhere.json: there is no such file" in capsys.readouterr().err

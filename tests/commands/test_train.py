@@ -10,7 +10,6 @@ pytest.importorskip("stable_baselines3")
 from flexman_agents.settings import Settings
 from flexman_gym.__main__ import main as flexman
 from flexman_gym.common import files
-from flexman_gym.common.renamed import OPTIONS
 from flexman_gym.common.run_folder import SETTINGS
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
@@ -165,16 +164,3 @@ def test_the_gains_in_the_catalog_are_better_than_gains_nearby_at_random():
     others = [each for each in others if has_margins(loops, each[:1], each[1:], optimisation.MIN_MARGINS)]
     result = optimisation._gain_returns(environment, np.vstack([own, *others]), 8)
     assert len(others) > 6 and (result.argmax() == 0 or result[0] > 0.99 * result.max())
-
-
-@pytest.mark.parametrize(
-    ("command", "old", "present"),
-    [(command, old, present) for command, names in OPTIONS.items() for old, present in names.items()],
-)
-def test_options_of_release_0_2_are_accepted_with_a_warning(command, old, present, capsys):
-    given = ["policy", "run", "folder"] if command == "export" else []
-    value = ["1"] if old.startswith("-") else []
-    warning = pytest.warns(DeprecationWarning, match=f"flexman {command}: {old} is {present} now")
-    with warning, pytest.raises(SystemExit):
-        flexman([command, *given, old, *value, "--no-such-option"])
-    assert capsys.readouterr().err.endswith("unrecognized arguments: --no-such-option\n")

@@ -131,7 +131,7 @@ def test_settings_that_are_arrays_are_other_ones(run, tmp_path):
     assert "different now are seed" in refusal(find_agent, str(tmp_path))
 
 
-def test_a_folder_of_release_0_1_is_refused(run, tmp_path):
+def test_a_folder_with_a_pickled_policy_alone_is_refused(run, tmp_path):
     """Its policy is the pickle model.zip; nothing reads it."""
     (tmp_path / SETTINGS).write_bytes((run / SETTINGS).read_bytes())
     (tmp_path / "model.zip").write_bytes(b"noise")

@@ -1,7 +1,6 @@
-"""Snapshot: the state of an object is restored; the attribute of version 0.2 that lists it is read with a warning."""
+"""Tests of snapshots: the state of an object is restored, and one with other fields is refused."""
 
 import numpy as np
-import pytest
 
 from flexman_gym.common.snapshot import get_state, set_state
 
@@ -15,12 +14,6 @@ class Counter:
         self.count, self.values, self.random = 0, np.zeros(3), np.random.default_rng(1)
 
 
-class FormerCounter(Counter):
-    """The same, written for version 0.2."""
-
-    kept = ("count",)
-
-
 def test_a_restored_object_continues_as_before_and_keeps_its_arrays():
     counter = Counter()
     state = get_state(counter)
@@ -29,8 +22,3 @@ def test_a_restored_object_continues_as_before_and_keeps_its_arrays():
     assert set_state("counter", counter, state) is counter
     assert counter.count == 0 and counter.values is array and not array.any()
     assert counter.random.normal() == expected
-
-
-def test_the_state_of_a_class_of_version_0_2_is_read_with_a_warning():
-    with pytest.warns(DeprecationWarning, match=r"^FormerCounter\.kept is state_fields now$"):
-        assert get_state(FormerCounter()) == {"count": 0}

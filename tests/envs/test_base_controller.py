@@ -116,42 +116,6 @@ def test_a_controller_needs_no_dictionary():
     assert env.step(np.zeros(3))[4]["status"] == "ok"
 
 
-class Former(Listener):
-    """A controller of version 0.2, with a memory."""
-
-    state_fields = ("count",)
-
-    def __init__(self):
-        super().__init__()
-        self.count = np.zeros(2)
-
-    def reset(self, arms, episode):
-        self.count[arms] = 0.0
-
-    def act(self, readings, applied, playing):
-        self.count += playing
-        return np.tile(0.1 * self.count[:, None], 3)
-
-
-def test_a_controller_without_the_number_of_arms_acts_with_a_warning():
-    with pytest.warns(
-        DeprecationWarning, match=r"base.reset\(arms, episode\) is deprecated; give reset\(arms, episode, c"
-    ):
-        env = FlexManVectorEnv(2, base=Former())
-    with pytest.warns(DeprecationWarning):
-        other = FlexManVectorEnv(2, base=Former())
-    env.reset(seed=0)
-    for _ in range(2):
-        env.step(np.zeros((2, 3)))
-    assert env.episodes.view.action == pytest.approx(0.2)
-    other.reset(seed=1)
-    other.set_state(env.get_state())
-    other.step(np.zeros((2, 3)))
-    assert other.episodes.view.action == pytest.approx(0.3)
-    other.reset(seed=1)
-    assert not other.episodes.base.inner.count.any()
-
-
 def test_a_controller_is_told_how_many_arms_there_are():
     """Also in a reset of some of them."""
     counts = []

@@ -12,11 +12,9 @@ from hypothesis import strategies as st
 import flexman_gym as fm
 from flexman_gym.agent.pd import PD
 from flexman_gym.common import files
-from flexman_gym.common.renamed import complete_environment
-from flexman_gym.envs.config.configuration import RENAMED, Configuration
+from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.envs.config.settings import SETTINGS
-from flexman_gym.evaluation.policy_files import policy_folder
 from flexman_gym.scene.serialization import find_arm, to_plain
 
 from oracles.assertions import refusal
@@ -164,64 +162,6 @@ def test_objects_of_ones_own_cannot_be_described():
     )
 
 
-# Deprecated names
-
-
-def test_deprecated_attributes_of_environments_and_views_warn():
-    env = gym.make("FlexOne-v0").unwrapped
-    view = env.episodes.view
-    for holder, old, name in (
-        (env, "setup", "configuration"),
-        (view, "heavy", "has_gravity"),
-        (view, "places", "slices"),
-    ):
-        with pytest.warns(DeprecationWarning, match=rf"{type(holder).__name__}\.{old} is .*{name} now$") as caught:
-            assert getattr(holder, old) is getattr(holder, name)
-        assert [each.filename for each in caught] == [__file__]
-    with pytest.warns(DeprecationWarning, match="View.alone is View.single now$"):
-        assert view.alone() is view.single()
-    with pytest.warns(DeprecationWarning, match="View.inverse_kinematics now$"):
-        assert view.reaching.__func__ is view.inverse_kinematics.__func__
-
-
-RENAMED_VALUES = {"action_repeat": 3, "info_keys": ["tip"]}
-
-
-@pytest.mark.parametrize(("old", "name"), RENAMED.items())
-def test_a_deprecated_name_means_the_present_one_and_warns_where_a_user_gives_it(tmp_path, old, name):
-    """In Python, in a file and as a change; the warning stands at the line of the user."""
-    value = RENAMED_VALUES[name]
-    files.write_data(tmp_path / "own.yaml", {"id": "FlexOne-v0", old: value})
-    for make in (
-        lambda: gym.make("FlexOne-v0", **{old: value}).unwrapped.configuration,
-        lambda: gym.make_vec("FlexOne-v0", 1, "vector_entry_point", **{old: value}).unwrapped.configuration,
-        lambda: Configuration("FlexOne-v0", {old: value}),
-        lambda: Configuration.find(str(tmp_path / "own.yaml")),
-        lambda: Configuration("FlexOne-v0").changed([f"{old}={value}"]),
-    ):
-        with pytest.warns(DeprecationWarning, match=f"^{old} is {name} now$") as caught:
-            made = make()
-        assert made == Configuration("FlexOne-v0", {name: value}) and made.settings == {name: value}
-        assert [each.filename for each in caught] == [__file__]
-
-
-@pytest.mark.parametrize(("old", "name"), RENAMED.items())
-def test_kept_data_with_a_deprecated_name_is_read_without_a_warning(recwarn, old, name):
-    value = RENAMED_VALUES[name]
-    kept = Configuration.from_plain({"id": "FlexOne-v0", old: value})
-    assert kept == Configuration("FlexOne-v0", {name: value}) and kept.to_plain()[name] == value and not recwarn.list
-    line = refusal(Configuration.from_plain, {"id": "FlexOne-v0", old: value, name: value})
-    assert line == f"{old}: {value} is not allowed; give {name} only, its present name"
-
-
-def test_shipped_policies_keep_the_old_name_and_load_without_a_warning(recwarn):
-    from flexman_gym.evaluation.agents import find_agent
-
-    assert '"hold": 10' in (policy_folder("ppo-flexplanar") / "policy.json").read_text()
-    assert find_agent("ppo-flexplanar").interface["action_repeat"] == 10
-    assert not [each for each in recwarn if each.category is DeprecationWarning]
-
-
 # Parsed once
 
 
@@ -273,12 +213,8 @@ def test_a_setting_has_help_and_a_plain_form(name):
     assert getattr(again, name) == value or name == "sensors"
 
 
-@pytest.mark.parametrize(
-    ("path", "page"),
-    [(keywords.KEYWORDS_PAGE, keywords.keywords_page), (keywords.MIGRATION_PAGE, keywords.migration_page)],
-)
-def test_pages_of_keywords_and_of_renamed_names_are_those_of_the_tables(path, page):
-    assert (ROOT / "docs" / path).read_text(encoding="utf-8") == page()
+def test_the_page_of_keywords_is_that_of_the_table():
+    assert (ROOT / "docs" / keywords.KEYWORDS_PAGE).read_text(encoding="utf-8") == keywords.keywords_page()
 
 
 # The same episode everywhere
@@ -327,14 +263,3 @@ def test_the_limit_of_deflection_is_a_part_of_each_links_length():
     view = env.episodes.view
     bounds = env.configuration.limits.bounds(view)["link_deflections"]
     assert bounds == pytest.approx(0.2 * np.repeat([link.length for link in env.configuration.arm.links], 2))
-
-
-@pytest.mark.parametrize(("own", "method"), [({}, "midpoint_3"), ({"method": "ros2"}, "ros2"),
-                                             ({"fidelity": "auto", "tolerance": 0.01}, None)])  # fmt: skip
-def test_an_environment_of_release_0_2_keeps_its_method(own, method):
-    """With fidelity="auto" the method is chosen, so that a file names none."""
-    stored = {"id": "FlexRRR-v0", **own}
-    complete_environment(stored)
-    plain = Configuration.from_plain(stored).to_plain()
-    assert stored.get("method") == plain.get("method") == method
-    assert Configuration.from_plain(plain).to_plain() == plain

@@ -81,25 +81,6 @@ def test_an_environment_made_alike_goes_on_from_a_state(settings, many, tmp_path
     assert same(played(env), played(other))
 
 
-def former(state):
-    """A state as version 0.2 had it: observations and history beside the sensors."""
-    agent, episodes = dict(state["agent"]), dict(state["episodes"])
-    sight = {**episodes.pop("measurements"), "_history": agent["_history"], "seen": agent["observations"]}
-    acting = {name: agent[name] for name in ("base", "mode")}
-    rest = {name: each for name, each in state.items() if name != "agent"}
-    return {**rest, "episodes": {**episodes, "sight": sight}, "acting": acting}
-
-
-def test_a_state_of_version_0_2_is_taken():
-    make = makers({"randomisation": EVERYTHING, "base": "pd", "action_repeat": 3, "history": 2})[1]
-    env, other = begun(make), make()
-    other.unwrapped.set_state(former(env.unwrapped.get_state()))
-    assert same(played(env), played(other))
-    broken = former(env.unwrapped.get_state())
-    del broken["episodes"]["sight"]["seen"]
-    assert refusal(other.unwrapped.set_state, broken).startswith("state: ")
-
-
 def pickled(env):
     return pickle.loads(pickle.dumps(env))
 

@@ -81,8 +81,6 @@ def test_a_trajectory_is_an_episode_without_a_task(tmp_path):
     scene = fm.Scene(fm.catalog.one_link(), choice, fm.ConstantTorque((1.0,)), start, 0.02, 0.01)
     result = fm.simulate(scene, method="rk4", step=1e-4)
     again = Episode.load(Episode.from_trajectory(result, "push").save(tmp_path / "a.npz"))
-    with pytest.warns(DeprecationWarning, match="Episode.of_trajectory is Episode.from_trajectory now"):
-        assert Episode.of_trajectory(result, "push").name == again.name
     assert np.array_equal(again.states, result.states) and np.array_equal(again.tips, result.tip)
     assert np.isnan(again.targets).all() and again.actions.shape == (2, 1) and again.name == "push"
     assert np.allclose(fm.curves(again.model, again.states, 4).positions[:, -1, -1], result.tip, rtol=0.0, atol=1e-12)

@@ -48,15 +48,6 @@ def test_a_varied_model_is_that_of_an_arm_of_the_batch(several):
     assert nominal.constants.payload_mass[0] == 3.0, "the model that it came from stays"
 
 
-def test_the_factor_of_a_link_was_called_a_stiffness():
-    """The old name gives the same model, with a warning."""
-    model = fm.build_model(ARM, modes=1)
-    with pytest.warns(DeprecationWarning, match="parameters.link_stiffness is link_stiffness_factor now"):
-        old = varied_model(model, link_stiffness=[0.8, 1.3, 0.9])
-    own = varied_model(model, link_stiffness_factor=[0.8, 1.3, 0.9])
-    assert np.array_equal(old.constants.stiffness, own.constants.stiffness)
-
-
 @pytest.mark.parametrize("method", METHODS)
 def test_an_arm_that_is_placed_moves_as_one_that_was_reset(method):
     """From its state on, to the bit, though it has failed before; the others do not notice."""

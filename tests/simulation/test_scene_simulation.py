@@ -188,8 +188,7 @@ def test_a_trajectory_is_kept_on_request_alone_and_counts_from_there():
     simulator.step([0.1, 0.0])
     with pytest.raises(RuntimeError, match="call record"):
         simulator.trajectory()
-    with pytest.warns(DeprecationWarning, match="Simulator.keep is Simulator.record now"):
-        simulator.keep()
+    simulator.record()
     simulator.step([0.1, 0.0])
     kept = simulator.trajectory()
     assert len(kept.time) == 2 and kept.work[0] == 0.0 < kept.work[1]

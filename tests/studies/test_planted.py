@@ -1,7 +1,6 @@
 """Tests of the planted errors: the error files match the sources, and outcomes are classified correctly."""
 
 import subprocess
-from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,6 +8,7 @@ import pytest
 
 from studies.planted.measure import CAUGHT, EQUIVALENT, PARTS, SURVIVED, Change, Copy, changes, kept, misplaced
 
+from oracles.assertions import refusal
 from oracles.files import command
 
 ROOT = Path(__file__).parents[2]
@@ -73,20 +73,13 @@ def test_changes_of_a_file_share_its_tests(tmp_path, monkeypatch):
     ]  # fmt: skip
 
 
-def test_rows_with_the_old_column_name_are_read(tmp_path):
-    rows = {}
-    for name in ("part", "room"):
-        (tmp_path / f"{name}.csv").write_text(
-            f"{name},error,file,outcome,by,seconds\nmodel,halves,a.py,caught,b.py,2\n"
-        )
-        rows[name] = kept(tmp_path / f"{name}.csv")
-    assert rows["part"] == rows["room"] and ("model", "halves") in rows["part"]
+def test_rows_with_an_old_column_name_are_refused_in_one_line(tmp_path):
+    (tmp_path / "rows.csv").write_text("room,error,file,outcome,by,seconds\nmodel,halves,a.py,caught,b.py,2\n")
+    line = f"{tmp_path / 'rows.csv'}: room is not a column of Planted; scripts/convert.py converts old keys"
+    assert refusal(kept, tmp_path / "rows.csv") == line
 
 
-@pytest.mark.parametrize("option", ["--part", "--room"])
-def test_the_part_is_chosen_by_the_new_and_the_old_option(option, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("sys.argv", ["plant", option, "model", "--only", "no such text", "--folder", str(tmp_path)])
-    old = pytest.warns(DeprecationWarning, match="--room is --part now") if option == "--room" else nullcontext()
-    with old:
-        assert command("plant").main() == 0
+def test_the_part_is_chosen_by_its_option(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("sys.argv", ["plant", "--part", "model", "--only", "no such text", "--folder", str(tmp_path)])
+    assert command("plant").main() == 0
     assert "no error matches" in capsys.readouterr().out

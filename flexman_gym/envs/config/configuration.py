@@ -8,20 +8,19 @@ from typing import Any, NoReturn, Self
 from flexman_gym.agent.pd import torque_limits
 from flexman_gym.common import files
 from flexman_gym.common.checks import (
+    key_error,
     keyword_error,
     mapping,
     nearest,
     one_of,
     positive,
     sequence,
-    short_path,
     text,
     unknown_name,
     value_error,
     vector,
 )
 from flexman_gym.common.markdown import text_fields
-from flexman_gym.common.renamed import current_methods, deprecated_names, rename_keys
 from flexman_gym.envs.config.named_environments import (
     DEFAULT_ID,
     NAMED_ENVIRONMENTS,
@@ -39,7 +38,6 @@ from flexman_gym.scene.serialization import SUFFIXES, find_arm, to_plain
 
 NESTED_SETTINGS = ("arm", "task", "limits")  # settings with fields, such as arm.payload.mass
 MAX_PERIODS = 10**9  # control periods; longest episode
-RENAMED = {old: name for name, setting in SETTINGS.items() for old in setting.deprecated}  # old name -> current name
 HINTS = {foreign: hint for setting in SETTINGS.values() for foreign, hint in setting.foreign.items()}
 SET_HELP = f"environment setting: {', '.join(SETTINGS)}; arm.payload.mass=0.5 changes a part"
 
@@ -64,7 +62,7 @@ class Configuration(EnvironmentSettings):
         named, given = NAMED_ENVIRONMENTS[one_of("id", id, NAMED_ENVIRONMENTS)], dict(settings or {})
         if given.pop("condition", NOMINAL) != NOMINAL:
             given = {**condition_settings(id, settings["condition"]), **given}  # type: ignore[index]
-        given = _current_settings(given, True)
+        given = _checked_mapping(given)
         _refuse_unknown(given)
         if isinstance(given.get("limits"), str):
             known = [name for name, each in NAMED_ENVIRONMENTS.items() if each.study]
@@ -161,15 +159,14 @@ class Configuration(EnvironmentSettings):
         return original.replace(**given)
 
     @classmethod
-    def from_plain(cls, data: object, folder: Path = Path(), warn: bool = False) -> Self:
+    def from_plain(cls, data: object, folder: Path = Path()) -> Self:
         """Return the configuration of a mapping with "id" and settings.
 
         Args:
             data: the mapping.
             folder: folder to which the path of a file with an arm is relative.
-            warn: True to issue a DeprecationWarning for each deprecated name.
         """
-        settings = _current_settings(data, warn)
+        settings = _checked_mapping(data)
         return cls(settings.pop("id", DEFAULT_ID), settings, folder)
 
     @classmethod
@@ -185,10 +182,8 @@ class Configuration(EnvironmentSettings):
             ValueError: for a setting that is not allowed, with a one-line message: file, field, value and the allowed
                 values.
         """
-        try:
-            return cls._from_changes(files.read_data(Path(path)), changes, Path(path).parent, warn=True)
-        except ValueError as error:
-            raise ValueError(f"{short_path(path)}: {error}") from None
+        with files.naming(path):
+            return cls._from_changes(files.read_data(Path(path)), changes, Path(path).parent)
 
     @classmethod
     def find(cls, name: "str | Configuration", changes: Sequence[str] = ()) -> "Configuration":
@@ -288,9 +283,9 @@ class Configuration(EnvironmentSettings):
         return self._from_changes({"id": self.id, **self._given}, changes) if changes else self
 
     @classmethod
-    def _from_changes(cls, data: object, changes: Sequence[str], folder: Path = Path(), warn: bool = False) -> Self:
+    def _from_changes(cls, data: object, changes: Sequence[str], folder: Path = Path()) -> Self:
         """Return the configuration of a mapping with changes "name=value", checked after the last change."""
-        data = _current_settings(data, warn)
+        data = _checked_mapping(data)
         for change in sequence("--set", changes, "texts"):
             name, equals, written = text("--set", change).partition("=")
             if not equals or not all(part.isidentifier() for part in name.split(".")):
@@ -302,7 +297,6 @@ class Configuration(EnvironmentSettings):
                     "--set", change, "a value that is a number, a text, [a, list] or {a: mapping}"
                 ) from None
             first, *rest = name.split(".")
-            first = next(iter(rename_keys({first: None}, RENAMED)))
             if name == "condition":  # its settings replace earlier ones of the same names
                 data |= condition_settings(data["id"], value)
                 continue
@@ -366,17 +360,14 @@ _LINES = (f"        {name}: {each.help}" + f" ({each.unit})" * bool(each.unit) f
 Configuration.__doc__ = "\n".join([f"{Configuration.__doc__}\n    Attributes:", *_LINES])
 
 
-def _current_settings(data: object, warn: bool) -> dict[str, Any]:
-    """Return a mapping with "id" and settings under their current names."""
+def _checked_mapping(data: object) -> dict[str, Any]:
+    """Return a copy of a mapping with "id" and settings, after a check of the types of its keys."""
     if not isinstance(data, dict):
         raise value_error("environment", data, "a mapping with id and settings")
     for name, value in data.items():
         if text("a key of environment", name) == "name":
             raise value_error(name, value, "it as id")
-    result = rename_keys(data, RENAMED, warn, nested=False)
-    if isinstance(result.get("method"), str):
-        result["method"] = current_methods(result["method"], warn)
-    return result
+    return dict(data)
 
 
 def _refuse_unknown(settings: Mapping[str, Any], others: Collection[str] | None = None) -> None:
@@ -386,13 +377,13 @@ def _refuse_unknown(settings: Mapping[str, Any], others: Collection[str] | None 
         settings: names and values.
         others: further keyword arguments, if the settings are keyword arguments; the error is then a KeywordError.
     """
-    known = {*SETTINGS, *RENAMED, "condition", *(others or ())}
+    known = {*SETTINGS, "condition", *(others or ())}
     for name, value in settings.items():
         if name not in known:
             near = nearest(name, sorted(known))
-            near = f"the nearest is {RENAMED.get(near, near)}; all: " if near else ""
+            near = f"the nearest is {near}; all: " if near else ""
             allowed = HINTS.get(name, f"a setting: {near}{' '.join(sorted(SETTINGS))}")
-            raise value_error(name, value, allowed) if others is None else keyword_error(name, value, allowed, name)
+            raise key_error(name, value, allowed) if others is None else keyword_error(name, value, allowed, name)
 
 
 def _is_plain(value: object) -> bool:
@@ -422,6 +413,3 @@ def _set_entry(data: dict[str, Any], path: list[str], value: object) -> None:
 def _tuned_parts(arm: Arm) -> tuple[object, ...]:
     """Return the properties of an arm on which tuned PD gains depend."""
     return arm.links, [(joint.axis, joint.rotor_inertia, joint.stiffness) for joint in arm.joints]
-
-
-__getattr__ = deprecated_names(__name__)

@@ -29,7 +29,7 @@ from flexman_gym.envs.tasks import Task, find_task, plain_task
 from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.input_checks import warn_unusual_units
 from flexman_gym.scene.serialization import find_arm, to_plain
-from flexman_gym.simulation.methods import DEFAULT_METHOD, Method
+from flexman_gym.simulation.methods import DEFAULT_METHOD, METHODS, Method
 from flexman_gym.simulation.trajectory import ENERGY_ALARM
 
 AUTO_SETTINGS = ("elements", "modes", "method", "step", "stiffening")  # settings chosen by fidelity="auto"
@@ -49,7 +49,6 @@ class _Setting:
         named: True if None stands for the value of the named environment.
         plain: function that returns the JSON-compatible data of a stored object; None if the stored value is
             JSON-compatible.
-        deprecated: deprecated names of the setting.
         foreign: name of this setting in other libraries -> hint in the error message.
     """
 
@@ -59,7 +58,6 @@ class _Setting:
     unit: str = ""
     named: bool = False
     plain: Callable[[Any], Any] | None = None
-    deprecated: tuple[str, ...] = ()
     foreign: Mapping[str, str] = field(default_factory=dict)
 
 
@@ -71,6 +69,11 @@ def _setting(*arguments: Any, **columns: Any) -> Any:
 def _as_given(value: Any) -> Any:
     """Return a value unchanged; `Configuration` checks it together with other settings."""
     return value
+
+
+def _method(value: Any) -> str | Method:
+    """Return an integration method, or its name if METHODS contains it."""
+    return value if isinstance(value, Method) else one_of("method", value, METHODS)
 
 
 def _tuples(value: Any) -> Any:
@@ -219,7 +222,7 @@ class EnvironmentSettings:
     action_repeat: int = _setting(
         "Number of control periods for which an action of the agent is held. A step of the environment simulates them, "
         "returns the mean of their rewards and the info of the last one, and stops early if the episode ends.",
-        partial(whole_number, "action_repeat", low=1, high=MAX_REPEATS), 1, deprecated=("hold",),
+        partial(whole_number, "action_repeat", low=1, high=MAX_REPEATS), 1,
         foreign=dict.fromkeys(("frame_skip", "frameskip"), "action_repeat, the number of control periods for which an "
         "action is held"),
     )
@@ -243,7 +246,7 @@ class EnvironmentSettings:
         "control rate need, see assembled_modes.",
         _tuples, "assembled",
     )
-    method: str | Method = _setting("Integration method, a name in METHODS or a Method.", _as_given, DEFAULT_METHOD)
+    method: str | Method = _setting("Integration method, a name in METHODS or a Method.", _method, DEFAULT_METHOD)
     step: float | None = _setting(
         "Step of the integration method. None stands for the longest divisor of the control period up to the longest "
         "step of the named environment.",
@@ -254,7 +257,7 @@ class EnvironmentSettings:
     rotary_inertia: bool = _setting("Rotary inertia of the cross-sections, see ModelChoice.", _as_given, True)
     info_keys: tuple[str, ...] = _setting(
         "Additional quantities in info. Names in View.units, or 'action' for the commanded torques.",
-        _info_keys_setting, (), deprecated=("tell",),
+        _info_keys_setting, (),
     )
     energy_alarm: float = _setting(
         "Energy residual above which info['energy_alarm'] is True, as a fraction of the energy turnover. The turnover "

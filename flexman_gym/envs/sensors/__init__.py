@@ -125,5 +125,3 @@ __all__ = [
     "measured_names",
     "plain_sensors",
 ]
-
-__getattr__ = deprecated_names(__name__)

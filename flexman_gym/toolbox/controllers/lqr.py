@@ -18,7 +18,6 @@ from flexman_gym.agent.pd import torque_limits
 from flexman_gym.common.arrays import Array, BoolArray, IntArray, Vector, pad_rows, row_dots
 from flexman_gym.common.checks import check_solvable, mapping, one_of, positive, value_error
 from flexman_gym.common.files import READ_ERRORS, open_arrays
-from flexman_gym.common.renamed import ARGUMENTS, deprecated_arguments
 from flexman_gym.kernels.cache import find_cache_folder
 from flexman_gym.model.linearization import SLIDING
 from flexman_gym.model.model import Model, check_model
@@ -346,7 +345,6 @@ class TrackingLQR(LQR):
 
     state_fields = ("_now",)
 
-    @deprecated_arguments(**ARGUMENTS["TrackingLQR"])
     def __init__(
         self,
         model: Model,

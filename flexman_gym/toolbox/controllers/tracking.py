@@ -1,6 +1,5 @@
 """Tracking control: feed-forward and scheduled LQR gains along a reference, and output feedback with an observer."""
 
-import warnings
 from collections.abc import Mapping
 from typing import Any
 
@@ -245,10 +244,5 @@ class OutputFeedback:
 
 def _inconsistent(observer: Observer) -> BoolArray | bool:
     """Return the flags (b,) `inconsistent` of an observer; False for an observer without this attribute."""
-    if hasattr(observer, "wrong") and not hasattr(observer, "inconsistent"):
-        message = f"{type(observer).__name__}.wrong is deprecated; name it inconsistent"
-        warnings.warn(message, DeprecationWarning, stacklevel=4)
-        former: BoolArray | bool = observer.wrong
-        return former
     result: BoolArray | bool = getattr(observer, "inconsistent", False)
     return result

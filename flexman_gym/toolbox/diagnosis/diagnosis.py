@@ -8,7 +8,6 @@ import numpy as np
 
 from flexman_gym.agent.controller import Controller
 from flexman_gym.common.arrays import Array
-from flexman_gym.common.renamed import ARGUMENTS, deprecated_arguments
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.episodes import Episodes
 from flexman_gym.evaluation.agents import AgentSpec
@@ -103,7 +102,6 @@ class Diagnosis:
         return max(self.shares, key=lambda name: self.shares[name])
 
 
-@deprecated_arguments(**ARGUMENTS["diagnose"])
 def diagnose(
     agent: str | AgentSpec | Controller, environment: str | Configuration, seeds: Sequence[int]
 ) -> list[Diagnosis]:

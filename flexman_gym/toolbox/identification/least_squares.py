@@ -8,7 +8,6 @@ import numpy as np
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import one_of, value_error
 from flexman_gym.common.progress import Progress
-from flexman_gym.common.renamed import PARAMETER_KEYS, rename_keys
 from flexman_gym.model.dynamics import mass_matrix
 from flexman_gym.model.model import Model, build_model
 from flexman_gym.scene.arm import Arm
@@ -114,7 +113,6 @@ class FreeParameters:
 def _numbers(name: str, model: Model) -> list[ScalarParameter]:
     """Return the free scalars of a name passed to `fit`, such as joint_stiffness or joint_stiffness[1]."""
     kind, _, index = name.partition("[")
-    kind = next(iter(rename_keys({kind: None}, PARAMETER_KEYS, field="free")))
     if PARAMETERS[one_of("free", kind, PARAMETERS)].of == ARM:
         if index:
             raise value_error("free", name, kind)

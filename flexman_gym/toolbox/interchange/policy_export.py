@@ -12,7 +12,6 @@ from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import value_error
 from flexman_gym.common.computer import optional_module
 from flexman_gym.common.files import existing_file, write_file
-from flexman_gym.common.renamed import ARGUMENTS, deprecated_arguments
 from flexman_gym.common.run_folder import BEST, NEWEST, read_npz, read_settings
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation.agent_info import training_seconds
@@ -119,7 +118,6 @@ ONNX_TOLERANCE = 1e-4  # dimensionless; largest difference of an action in float
 ONNX_ROWS = 64  # number of observations for which actions are compared
 
 
-@deprecated_arguments(**ARGUMENTS["write_onnx"])
 def write_onnx(agent: str, path: Path) -> float:
     """Write the network of a policy, with its normalisation of observations, as an ONNX graph.
 

@@ -15,9 +15,8 @@ import numpy as np
 
 from flexman_gym.common.checks import short_path
 from flexman_gym.common.computer import computer_info
-from flexman_gym.common.files import write_atomically
+from flexman_gym.common.files import CONVERSION, write_atomically
 from flexman_gym.common.parallel import Workers, parallel_map_unordered
-from flexman_gym.common.renamed import LEAGUE_COLUMNS, current_methods
 from flexman_gym.common.run_folder import BEST, NEWEST, SETTINGS
 from flexman_gym.common.tables import read_csv_rows
 from flexman_gym.envs.config.configuration import Configuration
@@ -38,7 +37,6 @@ TIME_RATIO = "multiple"  # dimensionless; settling time relative to the settling
 DAMPING = "damping"  # dimensionless; equivalent damping ratio of the tip's oscillation after its first arrival
 LIMITED = tuple(metric.name for metric in LIMIT_METRICS)
 VALUES = (*METRICS, TIME_RATIO, DAMPING, *LIMITED)  # columns of the values of a row
-FORMER_METRICS: tuple[str, ...] = ()  # columns of removed metrics; they are skipped in rows of earlier versions
 # Sources on which the results in a row depend, in addition to agent, scenario and package versions.
 SOURCES = ("common/arrays.py", "kernels", "scene", "model", "simulation", "agent", "envs", "metrics",
            *(f"evaluation/{name}.py" for name in ("agents", "metrics", "rollouts")), "toolbox/controllers",
@@ -129,8 +127,7 @@ class LeagueRows:
     def load(cls, folder: Path) -> Self:
         """Read the rows and cells of a folder; empty for a folder without them.
 
-        Columns are found by their heads, in any order. A metric missing in older rows is nan, and the columns of
-        FORMER_METRICS are skipped.
+        Columns are found by their heads, in any order. A metric without a column is nan.
 
         Args:
             folder: folder of the files.
@@ -143,7 +140,7 @@ class LeagueRows:
         if not os.path.exists(folder / CELLS):  # False for any text; Path.exists raises for some
             return cls()
         cells = _read(folder / CELLS, _cell, EpisodeBlock._fields)
-        return cls(_read(folder / ROWS, _row, EpisodeRow._fields[:4], (*VALUES, *FORMER_METRICS)), cells)
+        return cls(_read(folder / ROWS, _row, EpisodeRow._fields[:4], VALUES), cells)
 
     def save(self, folder: Path) -> None:
         """Write rows and cells in sorted order, so that the files do not depend on the order of the computation."""
@@ -247,15 +244,18 @@ def _read(
 ) -> list[Kind]:
     """Return the result of `make` for each line of a CSV file with these heads and some of the metrics."""
     lines = read_csv_rows(path)
-    found = [LEAGUE_COLUMNS.get(name, name) for name in next(lines, [])]
+    found = next(lines, [])
     unknown, missing = [name for name in found if name not in (*heads, *metrics)], set(heads) - {*found}
     if unknown or missing or len(set(found)) < len(found):
         allowed = f"{', '.join(heads)}{' and the metrics of the league' if metrics else ''}, each once"
-        raise ValueError(f"{short_path(path)}: its heads are not those of a league; give {allowed}")
+        # A file that is no league may contain secrets; only a word among heads of a league is printed.
+        words = [name for name in unknown if name.isidentifier() and {*heads} & {*found}]
+        wrong = f"{short_path(words[0])} is no head" if words else "its heads are not those"
+        raise ValueError(f"{short_path(path)}: {wrong} of a league; give {allowed}; {CONVERSION}")
     result = []
     for number, line in enumerate(lines, 2):
         try:
-            result.append(make(dict(zip(found, map(current_methods, line), strict=True))))
+            result.append(make(dict(zip(found, line, strict=True))))
         except ValueError:
             allowed = f"{len(found)} entries, numbers where they belong"
             raise ValueError(f"{short_path(path)}: line {number} is not one of a league; give {allowed}") from None

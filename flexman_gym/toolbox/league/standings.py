@@ -8,7 +8,6 @@ import numpy as np
 
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.markdown import markdown_table, number_text
-from flexman_gym.common.renamed import MEMBERS, deprecated_members
 from flexman_gym.evaluation.agent_info import describe_agent
 from flexman_gym.evaluation.agents import SIMPLE_AGENTS
 from flexman_gym.metrics import (
@@ -26,7 +25,6 @@ SWEPT_AGENTS = ("privileged-lqr", "lab-flexrrr", "adaptive-lqr", "lqg", "pd-torq
 Interval = tuple[float, float, float]  # estimate, and the ends of its bootstrap interval
 
 
-@deprecated_members(**MEMBERS["Standings"])
 @dataclass(frozen=True)
 class Standings:
     """Comparison of the agents of a league.

@@ -14,7 +14,6 @@ import numpy as np
 from scipy.optimize import brentq
 
 from flexman_gym.common.arrays import Array
-from flexman_gym.common.renamed import deprecated_names
 
 
 def cantilever_frequencies(count: int, tip_mass_ratio: float = 0.0) -> Array:
@@ -133,9 +132,6 @@ def bar_frequencies(count: int, elements: int | None = None) -> Array:
         return exact
     cosine = np.cos(exact / elements)
     return np.array(elements * np.sqrt(6.0 * (1.0 - cosine) / (2.0 + cosine)))
-
-
-__getattr__ = deprecated_names(__name__)
 
 
 def _squared_roots(function: Callable[[float], float], ends: Array) -> Array:

@@ -82,8 +82,6 @@ def test_a_range_has_the_name_and_the_unit_that_it_has_in_a_randomisation():
     values = found.values(own, np.full((1, 4), 0.5))
     assert values["joint_stiffness"][0] == pytest.approx(0.5 * own.constants.joint_stiffness)
     assert values["link_stiffness_factor"].tolist() == [[0.5, 0.5]]
-    with pytest.warns(DeprecationWarning, match="unknown.joint_stiffness is joint_stiffness_factor now"):
-        assert UncertainParameters(own, {"joint_stiffness": (0.5, 1.5)}).scales == pytest.approx(found.scales[:2])
 
 
 @pytest.mark.parametrize("span", [(0.13, 0.13), (0.0, 0.0)])

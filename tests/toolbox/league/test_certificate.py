@@ -124,14 +124,6 @@ def test_lengths_are_in_millimetres_as_far_as_they_count():
     assert {length: policy_files.millimetres(length) for length in lengths} == lengths
 
 
-def test_a_certificate_of_version_0_2_is_read(folder):
-    about = json.loads((folder / METADATA).read_text())
-    old = {"arrays_hash": about["arrays_hash"], "fails": ["finer"], "trials": [{"name": "finer", "settled": 1.0}]}
-    (folder / CERTIFICATE).write_text(json.dumps(old))
-    assert read_certificate(folder)["rows"] == [{"scenario": "finer", "settled": 1.0}]
-    assert policy_files.describe_policy("still").endswith("Beyond its limits: finer.")
-
-
 @pytest.mark.parametrize("row", [{}, 3, {"scenario": 3}, {"settled": 1.0}])
 def test_a_certificate_with_a_row_of_no_scenario_is_refused_in_one_line(folder, row):
     about = json.loads((folder / METADATA).read_text())
@@ -291,7 +283,7 @@ def test_certificates_and_the_league_have_the_same_numbers():
 def test_a_cell_of_a_certificate_is_the_episode_of_the_policy_in_its_own_changed_environment(number):
     """Ten cells by seed; the expected environment is that in the file of the policy, changed without a name.
 
-    A named environment has the default method, the files have that of release 0.2.
+    A named environment has the default method, the files have that of the training.
     """
     random = np.random.default_rng(number)
     name = str(random.choice(POLICIES))

@@ -216,26 +216,17 @@ def book_of(folder, rows=ROW, cells=CELL):
     return LeagueRows.load(folder)
 
 
-def test_rows_with_the_heads_of_version_0_2_are_read(tmp_path):
-    old = [text.replace("agent", "entrant").replace("scenario", "venue") for text in (ROW, CELL)]
-    found = book_of(tmp_path, f"{old[0]},reward\nk,pd,a,7,0.5", f"{old[1]}\nk,pd,a,7,8,0,0,")
-    assert [*found.rows] == [("a", "pd", 7)] and [*found.cells] == [("a", "pd", 7)]
-    found.save(tmp_path)
-    assert (tmp_path / ROWS).read_text().startswith(f"{ROW},reward,")
-    assert LeagueRows.load(tmp_path).rows.keys() == found.rows.keys()
-
-
 def test_values_of_old_rows_stay_right_whatever_metrics_a_league_has_now(tmp_path, monkeypatch):
-    """A metric that came later is nan in them, one that is gone is skipped, and their order is free."""
+    """A metric that came later is nan in them, and their order is free; a column of no metric is refused."""
     written = {name: 0.5 + i for i, name in enumerate(VALUES)}
     LeagueRows(
         [league.EpisodeRow("k", "pd", "a", 7, tuple(written.values()))], [EpisodeBlock("k", "pd", "a", 7, 8)]
     ).save(tmp_path)
-    now = ("new", *reversed(VALUES[2:]), "newer", VALUES[0])
-    monkeypatch.setattr(league, "VALUES", now)
-    with pytest.raises(ValueError, match=r"rows\.csv: its heads are not those of a league"):
+    monkeypatch.setattr(league, "VALUES", VALUES[1:])
+    with pytest.raises(ValueError, match=rf"rows\.csv: {VALUES[0]} is no head of a league"):
         LeagueRows.load(tmp_path)
-    monkeypatch.setattr(league, "FORMER_METRICS", (VALUES[1],))
+    now = ("new", *reversed(VALUES[1:]), "newer", VALUES[0])
+    monkeypatch.setattr(league, "VALUES", now)
     results = LeagueRows.load(tmp_path)
     for _ in range(2):
         (row,) = results.rows.values()
@@ -253,7 +244,7 @@ def test_values_of_old_rows_stay_right_whatever_metrics_a_league_has_now(tmp_pat
         (f"{ROW},seed", CELL, "rows.csv: its heads"),
         (f"{ROW},root:x:0", CELL, "rows.csv: its heads"),
         (ROW, CELL.removesuffix(",why"), "cells.csv: its heads"),
-        (ROW, f"{CELL},more", "cells.csv: its heads"),
+        (ROW, f"{CELL},more", "cells.csv: more is no head of a league"),
         (f"{ROW},reward\nk,pd,a,1", CELL, "rows.csv: line 2 is not one of a league; give 5 entries"),
         (f"{ROW}\nk,pd,a,1\nk,pd,a,1,2", CELL, "rows.csv: line 3 is not one of a league; give 4 entries"),
         (f"{ROW}\nk,pd,a,\N{SUPERSCRIPT TWO}", CELL, "rows.csv: line 2"),
@@ -403,7 +394,7 @@ def test_the_multiple_is_that_of_the_optimised_slew():
 
 def test_every_baseline_says_what_it_is_and_a_run_who_trained_it(tmp_path):
     assert {name for name in BASELINES if all(astuple(describe_agent(name))[:2])} == set(BASELINES)
-    settings = {"algo": "sac", "environment": {"id": "FlexOne-v0", "base": {"kind": "pd"}}}
+    settings = {"algo": "sac", "environment": {"id": "FlexOne-v0", "base": {"kind": "pd"}, "method": "midpoint_3"}}
     (tmp_path / "settings.json").write_text(json.dumps(settings))
     found = describe_agent(str(tmp_path))
     assert (found.description, found.tuning) == (
@@ -462,7 +453,8 @@ def test_every_scenario_has_an_environment():
 
 def test_a_run_that_has_seen_a_seed_of_the_test_is_refused(tmp_path):
     def run(**changes):
-        settings = {"seed": 3, "envs": 4, "eval_every": 100, "environment": {"id": "FlexOne-v0"}} | changes
+        environment = {"id": "FlexOne-v0", "method": "midpoint_3"}
+        settings = {"seed": 3, "envs": 4, "eval_every": 100, "environment": environment} | changes
         (tmp_path / "settings.json").write_text(json.dumps(settings))
         return str(tmp_path)
 
@@ -470,9 +462,6 @@ def test_a_run_that_has_seen_a_seed_of_the_test_is_refused(tmp_path):
     check_seeds_unseen(run(), range(9000, 9100))
     check_seeds_unseen(run(), [first - 1, first + 4, SELECTION_SEEDS.start - 1, SELECTION_SEEDS.stop])
     check_seeds_unseen(run(eval_every=0), SELECTION_SEEDS)
-    old = {"seed": 3, "envs": 4, "judge_every": 100, "environment": {"id": "FlexOne-v0"}}
-    (tmp_path / "settings.json").write_text(json.dumps(old))
-    assert "neither trained nor selected" in refusal(check_seeds_unseen, str(tmp_path), SELECTION_SEEDS)
     for seen in ([first], [first + 3], [*range(9000, 9100), SELECTION_SEEDS.start], [SELECTION_SEEDS.stop - 1]):
         line = refusal(check_seeds_unseen, run(), seen)
         assert f"neither trained nor selected on the seed {seen[-1]}, a test seed" in line
@@ -485,7 +474,7 @@ def test_a_run_that_has_seen_a_seed_of_the_test_is_refused(tmp_path):
 def test_a_run_tells_what_it_sees_and_how_long_it_took(tmp_path):
     for sensors, known in (("full", ("training", "true state")), ("lab", ("training",)), ("servo", ("training",)),
                            ({"kind": "full", "noise": 0.01}, ("training", "true state"))):  # fmt: skip
-        settings = {"environment": {"id": "FlexOne-v0", "sensors": sensors}}
+        settings = {"environment": {"id": "FlexOne-v0", "sensors": sensors, "method": "midpoint_3"}}
         (tmp_path / "settings.json").write_text(json.dumps(settings))
         assert describe_agent(str(tmp_path)).information == known
     assert training_seconds(str(tmp_path)) is None and training_seconds("pd") is None

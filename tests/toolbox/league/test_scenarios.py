@@ -66,7 +66,7 @@ def test_what_is_given_is_part_of_the_name():
     ranged = find_scenario("FlexRRR-v0/unknown-lab/payload=20:25").environment.disturbances
     assert ranged.payload_mass == (20.0, 25.0) and ranged.link_stiffness_factor == (0.7, 1.3)
     own = find_scenario("lab-flexrrr/delay=3").environment
-    assert own.without(["method"]) == lab.environment and own.method == "midpoint_3", "a policy of release 0.2"
+    assert own.without(["method"]) == lab.environment and own.method == "midpoint_3", "the method of its training"
 
 
 @pytest.mark.parametrize(

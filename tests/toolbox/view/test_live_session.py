@@ -261,8 +261,7 @@ def test_the_command_shows_the_page_until_it_is_stopped(capsys):
     process.send_signal(signal.SIGINT)
     assert process.wait(60) == 0
     process.stderr.close()
-    with pytest.warns(DeprecationWarning, match="is flexman live --agent now|--env is ENVIRONMENT now"):
-        assert main(["enjoy", "pd", "--env=FlexOne-v9"]) == 2
+    assert main(["live", "FlexOne-v9", "--agent", "pd"]) == 2
     assert "environment: FlexOne-v9 does not exist; give the path of a file, or one of " in capsys.readouterr().err
 
 

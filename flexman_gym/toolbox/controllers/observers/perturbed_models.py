@@ -9,7 +9,6 @@ from flexman_gym.agent.controller import Plant
 from flexman_gym.agent.internal_model import InternalModels
 from flexman_gym.common.arrays import Array, BoolArray, IntArray, row_dots
 from flexman_gym.common.checks import mapping, number_array, value_error
-from flexman_gym.common.renamed import PARAMETER_KEYS, rename_keys
 from flexman_gym.model.model import Model
 from flexman_gym.simulation.parameters import ARM, PARAMETERS, UNCERTAIN, varied_model
 
@@ -55,9 +54,7 @@ class UncertainParameters:
 
     def __init__(self, model: Model, ranges: Mapping[str, tuple[float, float]]) -> None:
         names, joints, scales, spans = [], [], [], []
-        former = {name: key for key, name in UNCERTAIN.items() if key != name}
-        former |= PARAMETER_KEYS
-        for key, span in mapping("unknown", rename_keys(ranges, former, field="unknown"), tuple(UNCERTAIN)).items():
+        for key, span in mapping("unknown", ranges, tuple(UNCERTAIN)).items():
             low, high = number_array(f"unknown.{key}", span, (2,), "a range (low, high)")
             if not 0.0 <= low <= high:
                 raise value_error(f"unknown.{key}", span, "a range (low, high) with 0 <= low <= high")

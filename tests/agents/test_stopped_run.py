@@ -1,4 +1,4 @@
-"""Files of release 0.2: a training run that was stopped after 128 of 256 steps, its curves, and an exported policy."""
+"""Stored files: a training run that was stopped after 128 of 256 steps, its curves, and an exported policy."""
 
 import csv
 import shutil
@@ -10,7 +10,7 @@ import flexman_gym as fm
 from flexman_gym.evaluation.agents import find_agent
 from flexman_gym.evaluation.rollouts import SELECTION_SEEDS
 
-FILES = Path(__file__).parent / "release_0_2"
+FILES = Path(__file__).parent / "stopped_run"
 
 
 def curves(path: Path) -> list[dict[str, str]]:
