@@ -22,7 +22,6 @@ from flexman_agents.settings import Schedule, Settings
 from flexman_gym.agent.agent import Law
 from flexman_gym.common.checks import is_decimal_integer
 from flexman_gym.common.files import write_atomically
-from flexman_gym.common.renamed import MEMBERS, deprecated_members, deprecated_names
 from flexman_gym.common.tables import read_csv_rows
 from flexman_gym.evaluation.agent_info import CPU_COLUMN
 from flexman_gym.evaluation.agents import AgentSpec, split_interface

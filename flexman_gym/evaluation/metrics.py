@@ -10,7 +10,6 @@ from flexman_gym.agent.controller import Controller
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import one_of
 from flexman_gym.common.registry import Registry
-from flexman_gym.common.renamed import ARGUMENTS, deprecated_arguments
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation.agents import AgentSpec
 from flexman_gym.evaluation.rollouts import EpisodeRecord, rollout

@@ -13,7 +13,6 @@ from flexman_gym.common.arrays import Array
 from flexman_gym.common.computer import computer_info
 from flexman_gym.common.files import open_arrays, reading, write_csv, write_file
 from flexman_gym.common.registry import load_entry
-from flexman_gym.common.renamed import MEMBERS, deprecated_members
 from flexman_gym.model.model import Model, build_model
 from flexman_gym.scene.scene import ModelChoice
 from flexman_gym.scene.serialization import find_arm, from_plain, to_plain

@@ -17,6 +17,7 @@ import numpy as np
 
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import finite, instance, positive, value_error, whole_number
+from flexman_gym.common.registry import Registry
 from flexman_gym.kernels.layout import MAX_SEQUENCES, MAX_STAGES, GeneralisedAlpha, Tableau
 
 A5 = (
@@ -439,7 +440,7 @@ def _implicit_methods() -> tuple[Method, ...]:
 DEFAULT_METHOD = "midpoint_corrected_3"  # method of fixed steps where none is named
 
 
-class _Methods(dict[str, Method]):
+class _Methods(Registry[Method]):
     """Integration methods by name, for `fm.simulate(scene, method=name, step=...)`.
 
     Each Method has an `order` (the error at a given time falls with the step to this power), a `kind` ("explicit",
@@ -457,6 +458,7 @@ class _Methods(dict[str, Method]):
 
 
 METHODS = _Methods(
-    {method.name: method for method in (*_explicit_methods(), *_linearly_implicit_methods(), *_implicit_methods())}
+    "method",
+    {method.name: method for method in (*_explicit_methods(), *_linearly_implicit_methods(), *_implicit_methods())},
 )
 """Integration methods by name."""

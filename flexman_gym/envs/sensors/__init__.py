@@ -6,7 +6,6 @@ from typing import Any
 
 from flexman_gym.common.checks import mapping, one_of, text, value_error
 from flexman_gym.common.registry import Registry
-from flexman_gym.common.renamed import deprecated_names
 from flexman_gym.envs.sensors.ideal import (
     FineScale,
     FullState,
