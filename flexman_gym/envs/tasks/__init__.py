@@ -45,7 +45,7 @@ def plain_task(task: Any) -> dict[str, Any]:
         ValueError: for a task of a class defined by the user.
     """
     for name, kind in TASKS.items():
-        if type(task) is kind and is_dataclass(task):
+        if type(task) is kind and is_dataclass(kind):
             return {"kind": name, **asdict(task)}
     raise value_error("task", task, "a task with a name; a file cannot hold an object of the user")
 

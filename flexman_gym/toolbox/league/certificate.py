@@ -239,7 +239,7 @@ def _worst_episodes(rows: Sequence[EpisodeRow]) -> list[dict[str, Any]]:
 def _aggregates(names: Sequence[str], rows: Sequence[EpisodeRow]) -> dict[str, float]:
     """Return the metrics over all rows by name."""
     values = {name: np.array([row.values[VALUES.index(name)] for row in rows]) for name in names}
-    metrics = METRICS | {each.name: each for each in LIMIT_METRICS}
+    metrics = {**METRICS} | {each.name: each for each in LIMIT_METRICS}
     return {name: float(metrics[name].aggregate(values[name])) for name in names}
 
 
