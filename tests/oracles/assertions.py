@@ -64,7 +64,7 @@ def refusal(action, *arguments) -> str:
     """Return the one-line error message of a call."""
     with pytest.raises(ValueError) as error:
         action(*arguments)
-    assert "\n" not in str(error.value) and len(re.sub(r"/\S*/", "", str(error.value))) < 400  # names of all settings
+    assert "\n" not in str(error.value) and len(re.sub(r"/\S*/", "", str(error.value))) < 450  # names of all settings
     return str(error.value)
 
 
