@@ -27,7 +27,7 @@ from flexman_gym.toolbox.controllers.observers.perturbed_models import Uncertain
 
 TORQUE_ERROR = 0.2  # fraction of the torque limits; error of the torques of a machine and of their readings
 DEVIATIONS = 4.0  # standard deviations of an innovation of a correct model
-SECOND_ORDER = 2.0  # factor on the sum of the effects of single parameters: their products, and errors beyond ranges
+SECOND_ORDER = 2.5  # factor on the sum of the effects of single parameters: their products, and errors beyond ranges
 SPAN, EXCESSES = 5, 3  # readings in a row, and number of innovations of one value beyond their bound among them
 REPEATS = 4  # equal readings in a row after which a value stands still; a sensor may lose single samples
 UPDATES = 300  # control periods of the Riccati recursion of the observer gain
