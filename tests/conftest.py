@@ -1,12 +1,10 @@
-"""Collection: marks slow tests, whose names are in slow.txt, and limits the number of skipped tests."""
+"""Limit of the number of skipped tests."""
 
 import re
 from collections import Counter
-from pathlib import Path
 
 import pytest
 
-SLOW = frozenset((Path(__file__).parent / "slow.txt").read_text(encoding="utf-8").split())
 MISSING = re.compile(r"could not import|No module named|is not installed")  # reasons of skips for a missing package
 
 
@@ -17,14 +15,6 @@ def pytest_addoption(parser):
         "--without", action="append", default=[], metavar="NAME",
         help="package or program that cannot be installed here: tests skipped for it are listed and not counted",
     )  # fmt: skip
-
-
-def pytest_collection_modifyitems(items):
-    """Mark as slow each test of which a case took more than 0.25 s of CPU when it was measured, and whole files."""
-    for item in items:
-        name = item.nodeid.split("[")[0].removeprefix("tests/")
-        if {name, name.split("::")[0]} & SLOW:
-            item.add_marker(pytest.mark.slow)
 
 
 def too_many_skips(reasons, most, without=()):

@@ -30,6 +30,7 @@ def compiled():
         fm.simulate(SCENE, method=method, step=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", TARGETS)
 def test_a_call_with_odd_arguments_works_or_is_refused_in_one_line(name):
     target = TARGETS[name]
@@ -42,6 +43,7 @@ def test_a_call_with_odd_arguments_works_or_is_refused_in_one_line(name):
             assert kind != "finding", f"seed {seed}: {what}: {described(strange)}"
 
 
+@pytest.mark.slow
 def test_a_broken_file_is_read_or_refused_in_one_line(tmp_path):
     pytest.importorskip("stable_baselines3")
     from oracles import mutants

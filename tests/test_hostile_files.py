@@ -20,6 +20,7 @@ from oracles import hostile
 CASES = [pytest.param(*case, id=f"{case[0]}: {case[1]}") for case in hostile.cases()]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "what", "make"), CASES)
 def test_a_hostile_file_is_refused_at_once_in_one_line(name, what, make, tmp_path):
     path = tmp_path / name

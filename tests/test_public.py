@@ -94,6 +94,7 @@ def test_a_description_with_an_object_of_ones_own_or_another_suffix_is_not_saved
     assert "suffix" in refusal(Configuration("FlexOne-v0").save, tmp_path / "env.txt")
 
 
+@pytest.mark.slow
 def test_gains_are_tuned_from_python_and_used():
     """A gain margin of 2 and a phase margin of 30 degrees, as of the command."""
     found = fm.tune("FlexOne-v0", first=2, around=1, episodes=1)

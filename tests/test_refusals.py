@@ -171,6 +171,7 @@ def line_of(call, value):
     return ""
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::UserWarning")
 @pytest.mark.parametrize("owner", sorted({name.partition(".")[0] for name in CALLS}))
 def test_a_bad_value_is_refused_in_one_line(owner):
@@ -182,6 +183,7 @@ def test_a_bad_value_is_refused_in_one_line(owner):
     assert not wrong, "\n".join(["neither taken nor refused in one line:", *wrong])
 
 
+@pytest.mark.slow
 @settings(deadline=None, derandomize=True, max_examples=60)
 @given(st.sampled_from(sorted(set(CALLS) - {"FlexManVectorEnv.num_envs", "Batch.arms"})), st.data())
 def test_what_hypothesis_makes_up_is_refused_in_one_line(name, data):
@@ -283,6 +285,7 @@ def test_offenders_are_what_is_taken_what_is_said_otherwise_and_other_errors():
     assert len(offenders(call, [1, 4, 5], lambda line: line in ("", "right"))) == 1
 
 
+@pytest.mark.slow
 def test_numba_without_its_compiler_is_refused_in_one_line():
     script = "import os; os.environ['NUMBA_DISABLE_JIT'] = '1'; import flexman_gym"
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)

@@ -18,6 +18,8 @@ from flexman_gym.toolbox.controllers.input_shaping.shapers import design_shaper
 from flexman_gym.toolbox.controllers.references import trajectories
 from flexman_gym.toolbox.view.comparison import MAX_FRAMES, side_by_side
 
+pytestmark = pytest.mark.slow
+
 PATH = 3.0 * np.linspace(0.0, 1.0, 12) ** 2 - 2.0 * np.linspace(0.0, 1.0, 12) ** 3
 
 

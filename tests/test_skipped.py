@@ -16,6 +16,7 @@ REASONS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "count", "options", "status", "line"), [
     ("reason", 2, ["--most-skips=2"], 0, "2 skipped"),
     ("reason", 3, ["--most-skips=2"], 1, "3 tests are skipped, at most 2 are allowed"),
@@ -26,7 +27,6 @@ REASONS = {
 ])  # fmt: skip
 def test_skips_beyond_the_limit_or_for_a_missing_package_fail(kind, count, options, status, line, tmp_path):
     shutil.copy(Path(__file__).with_name("conftest.py"), tmp_path)
-    (tmp_path / "slow.txt").write_text("")
     (tmp_path / "test_skip.py").write_text(SKIPS.format(count=count, skip=REASONS[kind]))
     command = [sys.executable, "-m", "pytest", "-p", "xdist", "-p", "no:cacheprovider", "-n", "1", *options]
     environment = os.environ | {"PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1", "PYTEST_ADDOPTS": ""}

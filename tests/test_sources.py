@@ -7,6 +7,8 @@ import sys
 import tomllib
 from pathlib import Path
 
+import pytest
+
 import flexman_gym
 
 PACKAGE = Path(flexman_gym.__file__).parent
@@ -41,6 +43,7 @@ def flaws(path):
     return result
 
 
+@pytest.mark.slow
 def test_files_and_functions_are_small_and_import_no_private_name():
     assert {str(path.relative_to(ROOT)): found for path in FILES + TESTS if (found := flaws(path))} == {}
 
@@ -95,6 +98,7 @@ def in_place(path):
     return found
 
 
+@pytest.mark.slow
 def test_no_source_writes_a_file_in_place():
     """A full disk or a killed process leaves the file of before; the exceptions are listed with their reasons."""
     sources = [path for path in FILES if path.relative_to(ROOT).parts[0] != "scripts"]
@@ -120,6 +124,7 @@ def test_installed_packages_are_the_folders_with_code():
     assert all((path.parent / "__init__.py").exists() for path in FILES if path.parent not in programs)
 
 
+@pytest.mark.slow
 def test_importing_the_package_loads_no_heavy_library():
     """Nothing of SciPy either, but for the few modules at its root that Numba takes to read its version."""
     script = "import sys, numba; before = {*sys.modules}; import flexman_gym; "

@@ -188,6 +188,7 @@ def test_no_control_law_is_designed_for_a_linear_model_with_friction(monkeypatch
             assert linearized is frictionless(linearized) and named.get("friction", "sliding") == "sliding", name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("factor", [1e-6, 1.0, 1.5])
 def test_it_settles_an_arm_with_less_and_with_more_friction_than_its_model(factor):
     """Friction that is given, far from that of the model."""

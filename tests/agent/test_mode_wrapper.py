@@ -56,6 +56,7 @@ WRAPPERS = {
 }
 
 
+@pytest.mark.slow
 def test_optional_members_include_every_public_member_of_the_modes_of_the_library():
     modes = {type(FlexManEnv(name="FlexOne-v0", actions=name).episodes.agent.mode) for name in ("torque", "position")}
     modes.add(type(FlexManEnv(base="lqg", actions="shaping").episodes.agent.mode))
@@ -63,6 +64,7 @@ def test_optional_members_include_every_public_member_of_the_modes_of_the_librar
     assert members - {"quantity"} <= {*REQUIRED, *OPTIONAL_MEMBERS} and len(modes) == 3 and "torque" in ACTIONS
 
 
+@pytest.mark.slow
 def test_optional_members_include_every_member_that_the_library_reads_from_a_mode():
     """Attributes of `mode` in the source, and names given to getattr and hasattr beside it."""
     read = set()
@@ -104,6 +106,7 @@ def test_optional_members_of_a_wrapper_are_missing_where_the_wrapped_mode_has_no
     assert [name for name in OPTIONAL_MEMBERS if hasattr(wrapped, name)] == ["state_fields", *OWN.get(wrapper, ())]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("agent", [{"safety": True, "limits": LIMITS}, {"actions": "shaping"}], ids=str)
 def test_kalman_filter_predicts_while_the_arm_moves(agent):
     """Under the safety filter and below reference shaping; a preparation after the estimate does nothing."""
@@ -142,6 +145,7 @@ def test_input_shaping_prepares_its_inner_controller_and_has_its_estimates():
     assert shaped.estimates == inner.estimates
 
 
+@pytest.mark.slow
 def test_measured_times_do_not_change_an_agent_below_the_safety_filter():
     """The filter uses the estimator of the base controller, also where times are measured."""
     environment = Configuration(

@@ -102,6 +102,7 @@ def test_steps_have_the_bits_of_a_batch(model, arm):
     assert torch.equal(plain, arm.step(states, torques.clone().requires_grad_())[0]) and not torch.equal(plain, state)
 
 
+@pytest.mark.slow
 def test_gradients_are_those_of_differences(model, arm):
     states, torques = start(model)
     parameters = given_parameters(model)
@@ -120,6 +121,7 @@ def test_a_second_derivative_is_refused(model, arm):
         torch.autograd.gradgradcheck(arm.step, inputs)
 
 
+@pytest.mark.slow
 def test_gradients_of_gains_through_a_rollout_are_extrapolated_differences(model, arm):
     states, _ = start(model)
     gains = GAINS.clone().requires_grad_()

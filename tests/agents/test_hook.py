@@ -12,6 +12,8 @@ from flexman_gym.common.run_folder import BEST, read_npz
 
 from oracles.runs import RUNS, bits
 
+pytestmark = pytest.mark.slow
+
 SETTINGS = RUNS["ppo"]  # 160 steps, 24 a rollout, evaluated after 72, 144 and at the end
 
 

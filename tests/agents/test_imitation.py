@@ -33,6 +33,7 @@ SHORT = Settings(
 )  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("base", [None, {"kind": "pd", "stiffness": [0.5 * STIFFNESS], "damping": [0.5 * DAMPING]}])
 def test_a_student_without_hidden_layers_learns_the_gains_of_a_pd(base):
     """Torques are linear in what it sees, so that the best layer is the law, less what the base does already."""
@@ -51,6 +52,7 @@ def test_a_student_without_hidden_layers_learns_the_gains_of_a_pd(base):
     assert learned == pytest.approx(wanted, rel=0.01)
 
 
+@pytest.mark.slow
 def test_arms_that_the_teacher_leads_move_as_under_the_teacher_alone_and_their_notes_say_its_actions():
     settings = replace(
         SHORT, environment={**ENVIRONMENT, "base": {**TEACHER, "stiffness": [0.5 * STIFFNESS]}, "action_repeat": 2}
@@ -115,12 +117,14 @@ def test_what_acts_is_a_mean_of_the_weights_in_which_older_ones_fade(monkeypatch
     assert acts == pytest.approx(expected, rel=1e-5) and np.abs(acts - weights[-1]).max() > 1e-4
 
 
+@pytest.mark.slow
 def test_the_same_seed_has_the_same_bits_and_another_has_not(tmp_path):
     for name, seed in (("a", 3), ("b", 3), ("c", 4)):
         train(SHORT.with_seed(seed), tmp_path / name, progress=False)
     assert bits(tmp_path / "a") == bits(tmp_path / "b") != bits(tmp_path / "c")
 
 
+@pytest.mark.slow
 def test_what_was_learned_acts_as_a_run_and_as_a_policy_that_is_shipped(tmp_path):
     train(SHORT, tmp_path / "run", progress=False)
     export_policy(tmp_path / "run", tmp_path / "policy", "A student of a PD.", "own")
@@ -154,6 +158,7 @@ def test_ctrl_c_stops_it_and_says_that_nothing_is_kept(tmp_path, monkeypatch):
     assert not (tmp_path / NEWEST).exists()
 
 
+@pytest.mark.slow
 def test_the_command_line_imitates_a_controller(tmp_path, capsys, monkeypatch):
     monkeypatch.setitem(DEFAULT_HYPERPARAMETERS["dagger"], "updates", 5)
     told = ["imitate", "{kind: pd, stiffness: [0.05], damping: [0.02]}", "--env", "FlexOne-v0", "--set", "horizon=0.4"]

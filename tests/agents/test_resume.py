@@ -48,6 +48,7 @@ def interrupt(monkeypatch):
     return at
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("algo", RUNS)
 def test_a_run_that_was_interrupted_twice_is_the_run_that_was_not(algo, tmp_path, interrupt, capsys):
     whole, parts = tmp_path / "whole", tmp_path / "parts"
@@ -74,6 +75,7 @@ def test_a_run_that_was_interrupted_twice_is_the_run_that_was_not(algo, tmp_path
     assert np.array_equal(one, other)
 
 
+@pytest.mark.slow
 def test_a_memory_that_is_full_is_drawn_from_whole_after_a_resumption(tmp_path, interrupt):
     """It holds eight rows of three arms; the run stops in the fourteenth of twenty."""
     chosen = {"learning_starts": 12, "batch_size": 8, "buffer_size": 24, "net_arch": [8]}
@@ -89,6 +91,7 @@ def test_a_memory_that_is_full_is_drawn_from_whole_after_a_resumption(tmp_path, 
     assert same(tmp_path / "whole", tmp_path / "run")
 
 
+@pytest.mark.slow
 def test_a_run_that_was_interrupted_before_its_first_rollout_goes_on(tmp_path, monkeypatch):
     train(RUNS["ppo"], tmp_path / "whole", progress=False)
     with monkeypatch.context() as patch:
@@ -102,6 +105,7 @@ def test_a_run_that_was_interrupted_before_its_first_rollout_goes_on(tmp_path, m
     assert same(tmp_path / "whole", tmp_path / "run")
 
 
+@pytest.mark.slow
 def test_a_run_whose_last_steps_were_lost_repeats_them(tmp_path):
     """Saved on the way and then gone on with twice: the second time finds the same."""
     train(RUNS["ppo"], tmp_path / "whole", progress=False)
@@ -117,6 +121,7 @@ def test_a_run_whose_last_steps_were_lost_repeats_them(tmp_path):
     assert same(tmp_path / "whole", tmp_path / "run")
 
 
+@pytest.mark.slow
 def test_a_run_that_was_killed_before_it_kept_anything_begins_again(tmp_path, capsys):
     train(RUNS["ppo"], tmp_path / "whole", progress=False)
     (tmp_path / "run").mkdir()
@@ -135,6 +140,7 @@ def test_pressed_twice_it_stops_at_once_and_what_was_saved_stays(tmp_path, inter
     assert signal.getsignal(signal.SIGINT) is before
 
 
+@pytest.mark.slow
 def test_steps_belong_to_a_finished_run_only(tmp_path, interrupt):
     interrupt(10)
     with pytest.raises(Interrupted):
@@ -152,6 +158,7 @@ def steps_of(path):
         return [int(row[STEPS_COLUMN]) for row in csv.DictReader(file) if row[STEPS_COLUMN]]
 
 
+@pytest.mark.slow
 def test_curves_of_a_run_whose_last_steps_were_lost_do_not_overlap(tmp_path, monkeypatch):
     """Saved after 72 steps, killed after 160, resumed: each number of steps is in one row of one file."""
     saved, run = [], tmp_path / "run"
@@ -173,6 +180,7 @@ def test_curves_of_a_run_whose_last_steps_were_lost_do_not_overlap(tmp_path, mon
     assert shown == sorted({*shown}), "TensorBoard hides what was lost"
 
 
+@pytest.mark.slow
 def test_curves_of_another_run_in_the_folder_stay_apart(tmp_path):
     train(RUNS["ppo"], tmp_path, progress=False)
     before = (tmp_path / "progress.csv").read_bytes()
@@ -182,6 +190,7 @@ def test_curves_of_another_run_in_the_folder_stay_apart(tmp_path):
     assert (tmp_path / "progress.csv").read_bytes() == before
 
 
+@pytest.mark.slow
 def test_versions_that_changed_are_said_and_kept(tmp_path, interrupt, monkeypatch, capsys):
     interrupt(10)
     with pytest.raises(Interrupted):

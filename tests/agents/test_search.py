@@ -20,6 +20,8 @@ from flexman_gym.common.run_folder import NEWEST
 from oracles.assertions import refusal
 from oracles.runs import RUNS, bits
 
+pytestmark = pytest.mark.slow
+
 RECIPE = replace(RUNS["ppo"], eval_every=48, schedules={}, environment={
     "id": "FlexOne-v0", "base": "pd", "action_repeat": 5, "horizon": 0.3})  # fmt: skip
 OVER = {

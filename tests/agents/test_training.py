@@ -51,6 +51,7 @@ def trained(tmp_path_factory):
         return folder, train(replace(SHORT, eval_every=512), folder, progress=False)
 
 
+@pytest.mark.slow
 def test_a_run_keeps_model_statistics_settings_versions_and_the_whole_arm(trained):
     folder, _ = trained
     assert {NEWEST, SETTINGS, BEST, "progress.csv"} <= {path.name for path in folder.iterdir()}
@@ -60,6 +61,7 @@ def test_a_run_keeps_model_statistics_settings_versions_and_the_whole_arm(traine
     assert Settings.load(folder) == replace(SHORT, eval_every=512)
 
 
+@pytest.mark.slow
 def test_the_same_seed_trains_the_same_policy_and_another_seed_another(trained, tmp_path):
     """Evaluated or not."""
     for seed in (3, 4):
@@ -68,6 +70,7 @@ def test_the_same_seed_trains_the_same_policy_and_another_seed_another(trained, 
     assert (acts(tmp_path / "4") != acts(tmp_path / "3")).any()
 
 
+@pytest.mark.slow
 def test_schedules_reach_the_optimiser_and_the_exploration(trained):
     """Two rollouts of 256 steps: the second has the deviation of half of the training; the last rate is the end."""
     _, model = trained
@@ -90,6 +93,7 @@ def test_curves_are_in_a_csv_and_in_events(trained):
     assert 0.0 < float(rows[0][CPU_COLUMN]) < float(rows[1][CPU_COLUMN]) == training_seconds(str(folder))
 
 
+@pytest.mark.slow
 def test_a_finished_run_goes_on_as_another_run(trained, tmp_path, capsys):
     """It begins with the policy of the first, counts from zero, and says so; its curves have a file of their own."""
     folder = tmp_path / "run"
@@ -105,6 +109,7 @@ def test_a_finished_run_goes_on_as_another_run(trained, tmp_path, capsys):
         assert len(list(csv.DictReader(lines))) == 2
 
 
+@pytest.mark.slow
 def test_the_curves_of_every_further_run_begin_after_all_steps_before(tmp_path):
     """Three runs of different lengths in one folder, none of which overwrites what another has drawn."""
     chosen = {"n_steps": 16, "batch_size": 32, "net_arch": [8]}
@@ -118,6 +123,7 @@ def test_the_curves_of_every_further_run_begin_after_all_steps_before(tmp_path):
     assert lasts == {"progress.csv": 32, "progress-32.csv": 96, "progress-128.csv": 64}
 
 
+@pytest.mark.slow
 def test_a_run_that_keeps_its_best_policy_goes_on_only_where_it_is_evaluated(trained, tmp_path, monkeypatch):
     """The best so far is remembered: a worse one later does not take its place."""
     folder = tmp_path / "run"
@@ -134,6 +140,7 @@ def test_a_run_that_keeps_its_best_policy_goes_on_only_where_it_is_evaluated(tra
     assert kept == [(BEST, None), (NEWEST, 512)]
 
 
+@pytest.mark.slow
 def test_checkpoints_are_written_where_rollouts_begin(tmp_path, monkeypatch):
     saved = []
     monkeypatch.setattr(
@@ -144,6 +151,7 @@ def test_checkpoints_are_written_where_rollouts_begin(tmp_path, monkeypatch):
     assert saved == [512, 1024]
 
 
+@pytest.mark.slow
 def test_sac_trains_and_goes_on_with_its_memory(tmp_path):
     settings = Settings("sac", PD, 64, envs=2, hyperparameters={"learning_starts": 16, "batch_size": 8})
     train(settings, tmp_path / "sac", progress=False)
@@ -303,6 +311,7 @@ def test_at_first_the_value_function_learns_alone():
 pytest.importorskip("stable_baselines3")
 
 
+@pytest.mark.slow
 def test_a_run_plays_as_by_itself_and_is_played_anew_when_it_has_learned(tmp_path):
     folder, said = str(tmp_path / "run"), []
     train(RUNS["ppo"], tmp_path / "run", progress=False)

@@ -22,6 +22,7 @@ def arms_and_singles(count, action_repeat=1, **settings):
     return SB3VecEnv(env), DummyVecEnv([lambda: gym.make("FlexRRR-v0", **settings)] * count)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("base", [None, "pd"])
 @pytest.mark.parametrize(("hold", "normalised"), [(1, False), (1, True), (3, False), (3, True)])
 def test_arms_are_single_environments_side_by_side(hold, normalised, base):

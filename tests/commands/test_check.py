@@ -2,11 +2,14 @@
 
 from itertools import accumulate
 
+import pytest
+
 from flexman_gym.commands import check
 
 SECONDS = (0.05, 0.05, 0.1, 40.0, 0.025)  # CPU time of each round
 
 
+@pytest.mark.slow
 def test_the_speed_is_that_of_cpu_time_and_a_slow_round_does_not_count(monkeypatch):
     monkeypatch.setattr(check, "TIMED_STEPS", 10)
     steps = [second for each in SECONDS for second in (0.0, each)]

@@ -40,6 +40,7 @@ def _docstring(command):
     return ast.get_docstring(ast.parse(text))
 
 
+@pytest.mark.slow
 def test_help_names_every_command_and_fits_a_screen(capsys):
     for given in [["--help"], *([name, "--help"] for name in COMMANDS if name != "demo")]:
         with pytest.raises(SystemExit) as stop:
@@ -90,6 +91,7 @@ def test_the_version_is_that_of_the_package(capsys):
     assert stop.value.code == 0 and capsys.readouterr().out == f"{fm.__version__}\n"
 
 
+@pytest.mark.slow
 def test_list_has_all_that_has_a_name(capsys):
     pytest.importorskip("stable_baselines3")
     names = {
@@ -113,6 +115,7 @@ def test_examples_are_listed_with_their_paths_and_a_sentence(capsys):
     assert all(len(words.split()) > 3 for _, words in lines)
 
 
+@pytest.mark.slow
 def test_simulate_keeps_the_motion_as_a_table(tmp_path, capsys):
     out = tmp_path / "motion.csv"
     assert main(["simulate", SCENE, "--method", "dop853", "--rtol", "1e-8", "--out", str(out)]) == 0
@@ -132,6 +135,7 @@ def test_a_simulation_that_diverges_ends_with_1(capsys):
     assert capsys.readouterr().out.startswith("status: diverged")
 
 
+@pytest.mark.slow
 def test_choose_says_model_method_error_and_what_was_left_out(capsys):
     assert main(["choose", str(REFERENCE / "paper_rr.json"), "--tolerance", "0.01"]) == 0
     lines = capsys.readouterr().out.splitlines()
@@ -139,6 +143,7 @@ def test_choose_says_model_method_error_and_what_was_left_out(capsys):
     assert 0.0 < float(lines[2].split(": ")[1].split()[0]) <= 10.0
 
 
+@pytest.mark.slow
 def test_precision_halves_the_step_and_measures_against_the_reference(capsys):
     """Of a method of fourth order the error falls by sixteen from step to step; what diverges has none."""
     assert main(["precision", str(REFERENCE / "paper_rr.json"), "--method", "rk4", "--step", "0.04"]) == 0
@@ -162,6 +167,7 @@ def test_an_arm_is_exported(tmp_path, capsys):
     assert "2 links of 8 pieces" in capsys.readouterr().out.splitlines()[-1]
 
 
+@pytest.mark.slow
 def test_the_league_is_played_and_grows(tmp_path, capsys):
     """By one entrant more, where the others have played, and by no run that is not there."""
     where = ["--folder", str(tmp_path)]
@@ -230,6 +236,7 @@ def test_a_league_takes_few_episodes_on_other_plants_and_those_of_others_for_one
 LEAGUE = ROOT / "docs" / "league"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("given", "line"),
     [
@@ -269,6 +276,7 @@ def test_what_is_wrong_is_said_in_one_line(given, line, capsys):
     assert code == 2 and line in said[-1] and sum(not each.startswith(("usage", " ")) for each in said) == 1
 
 
+@pytest.mark.slow
 def test_a_command_without_its_packages_names_the_extra():
     """A process in which PyTorch cannot be imported."""
     code = "import sys; sys.modules['torch'] = sys.modules['stable_baselines3'] = None; "
@@ -303,11 +311,13 @@ def drawn(capsys, *words):
     return files
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("what", ["modes", "bode", "campbell"])
 def test_a_picture_of_an_environment_is_the_file_that_was_named(what, tmp_path, capsys):
     assert drawn(capsys, what, "FlexOne-v0", "--out", tmp_path / "a.png") == [tmp_path / "a.png"]
 
 
+@pytest.mark.slow
 def test_pictures_of_a_league_go_into_the_folder_that_was_named(tmp_path, capsys):
     before = {file: file.stat().st_mtime_ns for file in LEAGUE.iterdir()}
     assert {file.parent for file in drawn(capsys, "robustness", LEAGUE, "--out", tmp_path / "new")} == {

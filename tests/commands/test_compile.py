@@ -36,6 +36,7 @@ def run(*arguments, cache=None, **settings):
     return subprocess.run([sys.executable, *arguments], capture_output=True, text=True, env=environment, timeout=600)
 
 
+@pytest.mark.slow
 def test_the_words_come_once_and_not_when_kernels_are_on_disk(tmp_path):
     first, again = run("-c", SMALL, cache=tmp_path), run("-c", SMALL, cache=tmp_path)
     assert first.stderr.count(WORDS) == 1 and len(first.stderr.splitlines()) == 1
@@ -65,14 +66,17 @@ def test_each_kernel_that_takes_long_says_how_long_is_left(capsys, monkeypatch):
     assert all(any(hasattr(room, name) for room in rooms) for name in kernels.COMPILE_SECONDS)
 
 
+@pytest.mark.slow
 def test_a_setting_silences_the_words(tmp_path):
     assert run("-c", SMALL, cache=tmp_path, FLEXMAN_QUIET="1").stderr == ""
 
 
+@pytest.mark.slow
 def test_kernels_of_others_compile_without_words(tmp_path):
     assert run("-c", OTHER, cache=tmp_path).stderr == ""
 
 
+@pytest.mark.slow
 def test_compile_says_what_it_does():
     done = run("-m", "flexman_gym", "compile")
     assert done.returncode == 0, done.stderr
@@ -80,6 +84,7 @@ def test_compile_says_what_it_does():
     assert done.stderr == ""
 
 
+@pytest.mark.slow
 def test_check_says_versions_kernels_and_steps():
     run("-m", "flexman_gym", "compile", "single")
     done = run("-m", "flexman_gym", "check")
@@ -99,6 +104,7 @@ def test_check_says_versions_kernels_and_steps():
     assert result["vector registers"].endswith(" bits") and " per CPU second" in result["steps of FlexRRR-v0"]
 
 
+@pytest.mark.slow
 def test_check_says_which_kernels_are_not_compiled_yet(tmp_path, monkeypatch, capsys):
     """In a folder without any, in one beside that of another installation, and in one with a kernel of one arm."""
     monkeypatch.setattr(check, "_steps_per_second", lambda: 1.0)

@@ -10,6 +10,8 @@ from flexman_gym.toolbox.deployment.machine import simulated
 
 from oracles.machines import FakeSimulatedMachine
 
+pytestmark = pytest.mark.slow
+
 WORDS = ["drive", "pd", "--machine", "sim:FlexOne-v0", "--seconds", "0.2"]
 
 

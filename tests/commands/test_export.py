@@ -30,6 +30,7 @@ def run(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_a_run_becomes_a_policy_that_reaches_the_same(run, tmp_path, capsys):
     words = [
         "export",
@@ -96,6 +97,7 @@ def test_a_graph_gives_the_actions_of_numpy(tmp_path, capsys):
     assert "give a policy, or the run of one" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["lab-flexrrr", "shaping-flexrrr"])
 def test_a_network_that_cannot_act_alone_is_refused_with_what_to_do(name, tmp_path, capsys):
     """Its output is no torque: a controller that is made for the arm turns it into one."""

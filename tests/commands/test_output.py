@@ -14,6 +14,7 @@ from flexman_gym.commands import list as list_command
 from oracles.files import ROOT
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("words", [["list"], ["list", "methods"], ["--help"], ["--version"], ["evaluate", "--help"]])
 @pytest.mark.parametrize("together", [False, True])
 def test_command_whose_reader_has_gone_ends_quietly(words, together):
@@ -36,6 +37,7 @@ def test_broken_pipe_of_something_else_is_an_error_of_one_line(monkeypatch, caps
     assert main(["list"]) == 2 and capsys.readouterr().err == "[Errno 32] Broken pipe\n"
 
 
+@pytest.mark.slow
 def test_full_disk_is_an_error_of_one_line():
     with open("/dev/full", "w") as full:
         result = subprocess.run(
@@ -44,6 +46,7 @@ def test_full_disk_is_an_error_of_one_line():
     assert result.returncode == 2 and result.stderr == "[Errno 28] No space left on device\n"
 
 
+@pytest.mark.slow
 def test_no_command_prints_a_part_of_a_line():
     """Messages about kernels, which come whenever one compiles, would be in its middle."""
     paths = [*(ROOT / "flexman_gym").rglob("*.py"), *(ROOT / "agents").rglob("*.py")]
@@ -53,6 +56,7 @@ def test_no_command_prints_a_part_of_a_line():
     assert not parts and len(paths) > 200
 
 
+@pytest.mark.slow
 def test_rows_of_the_demonstration_are_whole_between_messages(monkeypatch, capfd):
     """Each simulation writes a message, as the first one does for the kernels that it compiles."""
     pytest.importorskip("stable_baselines3")

@@ -44,6 +44,7 @@ def test_the_suffix_of_a_new_environment_is_checked_before_the_arm_is_optimised(
     assert "'.txt' is not allowed; give one of .json, .yaml, .yml" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_finished_table_of_slews_has_nothing_left_to_do(tmp_path, capsys):
     table, path = empty_slew_table(Configuration.find("FlexOne-v0")), tmp_path / "slews.npz"
     slew = SimpleNamespace(knots=np.zeros((5, 1)), periods=20, arrival=10)

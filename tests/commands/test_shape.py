@@ -52,6 +52,7 @@ def test_of_an_environment_it_tells_goals_payloads_modes_and_shapers(tmp_path, c
     assert all(row["zv, 1"] == "" for row in rows if row["motors"] == "free")
 
 
+@pytest.mark.slow
 def test_an_arm_of_the_catalog_and_a_scene_of_it_say_the_same(capsys):
     """Of one joint without gravity all postures ring alike, so that what it takes is two modes and the least delay."""
     scene = str(REFERENCE / "paper_fr.json")

@@ -31,6 +31,7 @@ def run(monkeypatch, capsys):
     return call
 
 
+@pytest.mark.slow
 def test_an_environment_file_and_changes_reach_the_run_and_its_evaluation(run, tmp_path):
     """Train on a file with a change, evaluate beside baselines; another change on the command line goes further."""
     files.write_data(tmp_path / "own.yaml", {"id": "FlexOne-v0", "horizon": 1.5, "base": "pd", "action_repeat": 5})
@@ -50,6 +51,7 @@ def test_an_environment_file_and_changes_reach_the_run_and_its_evaluation(run, t
     assert other.splitlines()[2:] != out.splitlines()[2:]
 
 
+@pytest.mark.slow
 def test_an_environment_without_what_its_recipe_learned_with_is_told(run, tmp_path):
     """A base that the file lacks is named; what the file or a change has is not."""
     files.write_data(tmp_path / "own.yaml", {"id": "FlexOne-v0", "action_repeat": 5})
@@ -124,6 +126,7 @@ def test_what_is_wrong_is_one_line_and_leaves_no_folder(run, tmp_path, monkeypat
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_tuning_finds_gains_that_beat_most_and_finds_them_again(monkeypatch):
     """The best of a few: among the candidates, within their ranges, and the same every time."""
     seen, rewards = [], optimisation._gain_returns
@@ -155,6 +158,7 @@ def test_tune_prints_the_line_for_a_file(run, monkeypatch):
     assert own.pd_gains == {"stiffness": (31.3, 0.123), "damping": (7.0, 2.0)}
 
 
+@pytest.mark.slow
 def test_the_gains_in_the_catalog_are_better_than_gains_nearby_at_random():
     """Mean reward of 8 episodes, of all candidates with margins at once, as the search measures it."""
     pd, environment = NAMED_ENVIRONMENTS["FlexOne-v0"].pd, Configuration("FlexOne-v0")

@@ -11,6 +11,8 @@ import pytest
 
 from oracles.files import ROOT
 
+pytestmark = pytest.mark.slow
+
 # Folder of the repository: name of its package when it is installed.
 INSTALLED = {"flexman_gym": "flexman_gym", "agents": "flexman_agents", "docs/examples": "flexman_gym/examples"}
 LEFT = shutil.ignore_patterns(".*", "__pycache__", "build", "out", "runs", "*.egg-info")

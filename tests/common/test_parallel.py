@@ -16,6 +16,8 @@ from flexman_gym.common.parallel import Workers, parallel_map, parallel_map_unor
 from oracles import cells
 from oracles.assertions import refusal
 
+pytestmark = pytest.mark.slow
+
 RAY = pytest.param(
     Workers(2, ray="local"),
     id="ray",

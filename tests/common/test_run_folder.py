@@ -22,6 +22,7 @@ from oracles.assertions import refusal
 from oracles.runs import RUNS
 
 
+@pytest.mark.slow
 def test_a_folder_is_trained_in_by_one_process(tmp_path, capsys):
     train(replace(RUNS["ppo"], eval_every=0), tmp_path, progress=False)
     held = "import sys; from pathlib import Path; from flexman_gym.common.run_folder import lock_folder\n" \

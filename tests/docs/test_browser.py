@@ -11,6 +11,8 @@ import yaml
 from oracles.browser import one_browser
 from oracles.files import ROOT
 
+pytestmark = pytest.mark.slow
+
 AWAY = (
     "return performance.getEntriesByType('resource').map(each => each.name).filter(each => !each.startsWith('file:'))"
 )

@@ -80,6 +80,7 @@ def run_commands(lines):
             assert main(words[1:]) == 0, words
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("page", PAGES)
 def test_a_page_runs_and_prints_what_it_says(page, checkout, monkeypatch):
     if any(
@@ -105,6 +106,7 @@ def test_a_page_runs_and_prints_what_it_says(page, checkout, monkeypatch):
     assert all(path.name in ("docs", "scripts", "runs") or path.stem.startswith("my_") for path in checkout.iterdir())
 
 
+@pytest.mark.slow
 def test_the_readme_runs_without_the_checkout(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (code,) = (text for language, text in BLOCK.findall(README) if language == "python")
@@ -169,6 +171,7 @@ def test_the_usual_names_have_examples():
     assert {name for name, examples in FOUND.items() if examples} >= USUAL
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(name for name, examples in FOUND.items() if examples))
 def test_examples_run_and_give_what_they_say(name):
     for each in FOUND[name]:

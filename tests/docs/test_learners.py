@@ -11,6 +11,8 @@ from flexman_gym.evaluation.rollouts import rollout
 
 from oracles.files import ROOT
 
+pytestmark = pytest.mark.slow
+
 
 def example(name):
     """Return an example as a module."""

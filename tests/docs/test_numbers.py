@@ -3,6 +3,7 @@
 import inspect
 import re
 
+import pytest
 import yaml
 
 import flexman_gym as fm
@@ -65,6 +66,7 @@ def test_sentences_about_the_filter_have_the_worst_rows_of_its_study():
     assert "under any agent" not in text and "limits that hold" not in PAGES["safety.md"]
 
 
+@pytest.mark.slow
 def test_the_readme_says_how_its_top_agent_fares_in_mujoco():
     results = Results().standings
     times = [*results.values("lab-flexrrr", "FlexRRR-v0@mujoco", "settling_time").values()]
@@ -86,6 +88,7 @@ def test_pages_of_the_arm_after_the_paper_say_how_it_differs():
     assert fm.catalog.paper_rrr("corrected").links[0].area == 0.0028
 
 
+@pytest.mark.slow
 def test_the_page_of_the_league_is_that_of_its_rows(tmp_path, monkeypatch):
     published = (FOLDER / "league.md").read_text(encoding="utf-8")
     (tmp_path / "league.md").write_text(published, encoding="utf-8")
@@ -94,6 +97,7 @@ def test_the_page_of_the_league_is_that_of_its_rows(tmp_path, monkeypatch):
     assert (tmp_path / "league.md").read_text(encoding="utf-8") == published
 
 
+@pytest.mark.slow
 def test_known_rows_come_out():
     """Compare with another study, within 3 percentage points and 0.1 s."""
     standing = Standings(LeagueRows.load(FOLDER))

@@ -146,6 +146,7 @@ def test_every_public_name_has_one_entry():
     assert set(ENTRIES) >= ROOMS
 
 
+@pytest.mark.slow
 def test_entries_are_read_as_python_reads_them(tmp_path, caplog):
     """Check that each entry exists with its docstring, is no module of the same name, and is parsed without errors."""
     griffe = pytest.importorskip("griffe")

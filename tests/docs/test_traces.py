@@ -215,6 +215,7 @@ def universe(page):
                            for each in numbers(source.text(source.rows), tables=page != "README"))]  # fmt: skip
 
 
+@pytest.mark.slow
 def test_the_numbers_of_readme_and_pages_are_those_of_the_rows():
     known = Sources(ROOT / "docs")
     assert readme(README, known, SETTINGS) == README, "run python scripts/readme.py"
@@ -250,6 +251,7 @@ def test_address_doi_and_badges_are_hidden_while_they_are_empty():
         "[DOI 10.5281/zenodo.1](https://doi.org/10.5281/zenodo.1)"  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("page", DRAWN)
 @pytest.mark.filterwarnings("ignore:Mean of empty slice", "ignore:invalid value")  # rows are taken away
 def test_drawn_numbers_are_traced_to_a_file_a_column_and_a_row(page):

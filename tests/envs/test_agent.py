@@ -57,6 +57,7 @@ class Asking(fm.Slew):
         return super().info(view) | {"asked": view.action}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("base", [None, "pd"])
 @pytest.mark.parametrize("randomisation", [None, NOISELESS], ids=["plain", "randomised"])
 @pytest.mark.parametrize("hold", [2, 5])
@@ -88,6 +89,7 @@ def test_a_held_action_is_the_same_action_so_many_times(hold, base, randomisatio
     assert all(ends.values()), ends
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("hold", "mode", "settings"),
     [
@@ -124,6 +126,7 @@ def test_what_the_motors_of_an_arm_that_is_over_were_asked_for_stays():
     assert failures > 5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["FlexRRR-v0", "FlexPlanar-v0", "FlexOne-v0"])
 @pytest.mark.parametrize("base", ["pd", "lqr", "lqr-tracking"])
 def test_every_base_gives_the_same_bits_to_one_arm_and_to_many(base, name):

@@ -68,6 +68,7 @@ def leaves(info, prefix=""):
             yield f"{prefix}{key}", value
 
 
+@pytest.mark.slow
 def test_flat_info_has_every_number_of_the_nested_info():
     numbers = {"status": layout.STATUS.index, "safety_status": STATUS.index, "failure": bool}
     for nested, flat in zip(both(**RICH), both(infos="flat", **RICH), strict=True):

@@ -67,6 +67,7 @@ def arms(setup):
         )  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "condition"), CASES)
 def test_the_pd_is_stable_wherever_a_condition_leads(name, condition):
     """All eigenvalues of the sampled, linear loop are within the unit circle, at postures all over the task's range."""
@@ -85,6 +86,7 @@ def test_the_pd_is_stable_wherever_a_condition_leads(name, condition):
     assert controller.unstable(model, setup.control_period, max(delays)) == ""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "condition"), CASES)
 def test_a_condition_suits_every_task_of_its_arm(name, condition):
     """The PD beside an agent that does nothing holds out for two seconds, without a warning."""

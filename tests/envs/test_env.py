@@ -73,6 +73,7 @@ def test_stable_baselines_finds_nothing_to_complain_about():
         checker.check_env(gym.make("FlexRRR-v0"))
 
 
+@pytest.mark.slow
 def test_two_processes_get_the_same_bits_from_a_seed_and_others_from_another():
     command = [sys.executable, "-c", EPISODES]
     runs = [subprocess.Popen([*command, seed], stdout=subprocess.PIPE, text=True) for seed in ("7", "7", "8")]
@@ -89,6 +90,7 @@ def test_resets_continue_the_stream_of_their_seed():
     assert np.array_equal(env.reset(seed=3)[0], starts[0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("steps", "hold"), [(50_000, 1), (20_000, 20)], ids=["random", "bang-bang"])
 def test_observations_stay_in_their_space_whatever_the_motors_do(steps, hold):
     env, rng = FlexManEnv(), np.random.default_rng(0)
@@ -225,6 +227,7 @@ def test_info_has_its_keys_and_a_reward_that_is_the_sum_of_its_terms():
         assert info["status"] == "ok" and info["failure"] == ""
 
 
+@pytest.mark.slow
 def test_the_energy_residual_is_the_error_of_the_integrator():
     """It vanishes for a reference method, and falls as the square of the step for one of second order."""
     residuals = {}

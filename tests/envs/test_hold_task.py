@@ -61,6 +61,7 @@ def test_loads_stay_until_they_change():
     assert waits.std() == pytest.approx(np.sqrt(1.0 - share) / share, rel=0.15), "geometric, as without memory"
 
 
+@pytest.mark.slow
 def test_a_base_sways_as_a_sine():
     """One frequency an episode, between 0.3 and 3 times that of the first mode, in one direction."""
     arms, steps, period = 60, 800, 0.02

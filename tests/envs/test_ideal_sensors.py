@@ -227,6 +227,7 @@ def test_half_of_a_millimetre_is_seen_and_twice_as_far_adds_no_more_than_a_const
     assert seen[1.4] - seen[0.7] == pytest.approx(np.full(3, np.log(2.0)), abs=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(NAMED_ENVIRONMENTS))
 def test_their_bounds_hold_and_are_those_of_the_quantities(name):
     """Full power in turns, until limits end many episodes; a bound is what the largest quantity becomes."""

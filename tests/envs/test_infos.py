@@ -20,6 +20,7 @@ def pair(arms, mode, **settings):
             for infos in ("always", "at end"))  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("hold", [1, 2])
 @pytest.mark.parametrize("arms", [1, 3])
 @pytest.mark.parametrize("mode", tuple(AutoresetMode))
@@ -74,6 +75,7 @@ def test_the_action_that_is_told_and_seen_is_the_sum_of_agent_and_base():
     assert np.array_equal(alone.step(np.full(3, 0.25, dtype=np.float32))[-1]["action"], np.full(3, 0.25))
 
 
+@pytest.mark.slow
 def test_call_gives_what_gymnasiums_own_gives():
     ours = gym.make_vec("FlexRRR-v0", 2, "vector_entry_point", render_mode="rgb_array", render_size=(80, 60))
     theirs = gym.make_vec("FlexRRR-v0", 2, "sync", render_mode="rgb_array", vector_kwargs={}, render_size=(80, 60))

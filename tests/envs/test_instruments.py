@@ -50,6 +50,7 @@ def test_strain_is_what_gauges_on_both_sides_of_the_root_read(name):
     assert np.abs(result).max() > 1e-5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["FlexRRR-v0", "FlexRRR-Gravity-v0", "FlexPlanar-v0"])
 def test_the_accelerometer_says_the_acceleration_of_the_tip(name):
     env = FlexManEnv(name=name, sensors=("accelerometer", Quantities(("specific_force",))))
@@ -263,6 +264,7 @@ SETS = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", SETS)
 @pytest.mark.parametrize("name", ["FlexOne-v0", "FlexPlanar-Hold-v0", "FlexRRR-Gravity-v0", "FlexRRR-Track-v0"])
 def test_every_set_keeps_the_contracts_of_both_libraries(name, kind):
@@ -274,6 +276,7 @@ def test_every_set_keeps_the_contracts_of_both_libraries(name, kind):
             checker.check_env(gym.make(name, sensors=SETS[kind]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("history", [1, (0.1, 0.5)])
 @pytest.mark.parametrize("kind", SETS)
 @pytest.mark.parametrize("name", ["FlexRRR-Track-v0", "FlexPlanar-Hold-v0", "FlexRRR-Gravity-v0"])

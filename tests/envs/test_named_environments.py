@@ -145,6 +145,7 @@ def test_gym_make_and_gym_make_vec_take_the_same_keywords():
 # Neither easy nor fragile
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NEW)
 def test_pd_settles_and_doing_nothing_earns_little(name):
     """50 episodes: within 1 % of the reach in at least half of them; zero action earns less than 40 % of that."""

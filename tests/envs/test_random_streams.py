@@ -24,6 +24,7 @@ def forces(gap, period=0.02, steps=300, arms=50):
     return np.array(result) * period
 
 
+@pytest.mark.slow
 def test_effects_draw_independently_of_each_other():
     """The correlation of two independent draws of 1000 arms is normal with a deviation of 1 / sqrt(1000)."""
     env = FlexManVectorEnv(1000, modes=1, randomisation=FACTORS | {"payload_mass": (0.0, 1.0), "delay": (0, 9)})

@@ -53,6 +53,7 @@ def episodes(env, seeds):
     return [{"start": env.simulator.state[:3].copy(), "goal": info["goal_angles"], **info["drawn"]} for info in infos]
 
 
+@pytest.mark.slow
 @QUICK
 @given(st.sets(st.sampled_from(EFFECTS)), st.sampled_from(EFFECTS), st.integers(0, 2**32))
 def test_an_effect_changes_neither_the_draws_of_others_nor_start_and_goal(effects, another, seed):

@@ -66,6 +66,7 @@ def test_a_copy_and_a_second_run_render_the_same_bits():
     assert np.array_equal(frames(env), first) and len({*map(bytes, first)}) == 3
 
 
+@pytest.mark.slow
 def test_gymnasium_records_arms_one_by_one_and_side_by_side(tmp_path):
     pytest.importorskip("moviepy")
     env = gym.make("FlexOne-v0", render_mode="rgb_array", render_size=SIZE, horizon=0.1)

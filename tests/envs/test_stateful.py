@@ -67,6 +67,7 @@ def makers(settings):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("many", [0, 1])
 @pytest.mark.parametrize("settings", SETTINGS, ids=lambda settings: "-".join(settings) or "plain")
 def test_an_environment_made_alike_goes_on_from_a_state(settings, many, tmp_path):
@@ -126,6 +127,7 @@ def test_an_environment_that_was_never_reset_has_a_state():
         other.unwrapped.step(np.zeros(3))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("settings", "line"),
     [

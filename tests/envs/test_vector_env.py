@@ -25,6 +25,7 @@ def pair(arms, mode=AutoresetMode.NEXT_STEP, **settings):
     return ours, gym.make_vec("FlexRRR-v0", arms, "sync", vector_kwargs={"autoreset_mode": mode}, **settings)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arms", "steps", "mode", "settings"),
     [
@@ -44,6 +45,7 @@ def test_it_is_many_single_environments_bit_for_bit(arms, steps, mode, settings)
     assert all(same_side_by_side(ours, theirs, actions(arms, steps))), "both ways to end were seen"
 
 
+@pytest.mark.slow
 def test_threads_change_no_bit():
     """As many arms as two threads share."""
     one, two = (FlexManVectorEnv(136, threads=threads, randomisation=EVERYTHING, **SHORT) for threads in (1, 2))

@@ -54,6 +54,7 @@ def run(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_a_policy_is_evaluated_on_the_environment_that_it_was_trained_on(run):
     policy = find_agent(str(run))
     environment = common_environment([policy, find_agent("pd")], None)
@@ -88,6 +89,7 @@ def test_a_policy_acts_as_in_an_environment_with_its_own_hold_and_base(run):
     assert record.rewards.reshape(-1, 5).mean(axis=1) == pytest.approx(rewards, rel=1e-12)
 
 
+@pytest.mark.slow
 def test_a_policy_keeps_the_gains_that_it_learned_on(run):
     """Under a condition with another PD, which is the baseline beside it."""
     learned = NAMED_ENVIRONMENTS["FlexPlanar-v0"].pd
@@ -100,6 +102,7 @@ def test_a_policy_keeps_the_gains_that_it_learned_on(run):
         assert np.array_equal(both[0].actions, both[1].actions) == (name != "pd"), "the baseline has the condition's"
 
 
+@pytest.mark.slow
 def test_baselines_run_on_the_environment_that_is_named():
     described = Configuration(
         "FlexPlanar-v0", {"arm": ARM, "horizon": 1.5, "base": "lqr", "action_repeat": 3, "sensors": "fine"}
@@ -222,6 +225,7 @@ def test_what_acts_nowhere_is_refused_in_one_line(tmp_path):
         find_agent(str(tmp_path))
 
 
+@pytest.mark.slow
 def test_a_policy_is_used_with_the_base_that_its_run_says(tmp_path):
     """On the estimates of an observer that is made for the environment in which it plays, with a delay there."""
     pytest.importorskip("stable_baselines3")

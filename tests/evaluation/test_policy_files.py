@@ -205,6 +205,7 @@ def test_what_cannot_be_read_is_not_written_as_a_policy(tmp_path):
     assert "check: " in refusal(write_policy, tmp_path, about, wrong)
 
 
+@pytest.mark.slow
 def test_a_policy_needs_no_training_library(folder):
     script = "import sys; sys.modules['torch'] = sys.modules['stable_baselines3'] = None; "
     script += "from flexman_gym.evaluation import find_agent; print(find_agent(sys.argv[1]).name)"
@@ -223,6 +224,7 @@ def test_a_policy_of_the_package_is_small_and_says_what_it_is(name):
     assert {each["unit"] for each in about["observation"]} >= ({"1"} if shaped else {"rad", "m"})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", POLICIES)
 def test_a_policy_of_the_package_reaches_its_row_again(name):
     """A policy beside an observer takes longer, and plays some of the episodes."""

@@ -2,6 +2,7 @@
 
 import numba
 import numpy as np
+import pytest
 
 import flexman_gym as fm
 from flexman_gym.kernels.layout import Work, make_work
@@ -23,6 +24,7 @@ def _work() -> Work:
     return work
 
 
+@pytest.mark.slow
 def test_a_compiled_access_equals_that_of_the_arrays():
     compiled, plain = _work(), _work()
     _access(compiled, 2, 4)

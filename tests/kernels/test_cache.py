@@ -98,6 +98,7 @@ def elsewhere(file, way):
     return json.loads(done.stdout)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("way", ["fork", "spawn", "thread"])
 def test_kernels_are_loaded_with_the_same_results(here, way):
     file, expected = here
@@ -106,6 +107,7 @@ def test_kernels_are_loaded_with_the_same_results(here, way):
         assert loaded > 0 and compiled == 0
 
 
+@pytest.mark.slow
 def test_an_environment_with_threads_continues_in_a_forked_process(here):
     *_, (child, parent) = elsewhere(here[0], "fork")
     assert child == parent
@@ -172,6 +174,7 @@ def test_a_damaged_file_counts_as_missing_until_it_is_written_again(tmp_path, da
     assert files.load("key") is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("damage", "suffix"), [("noise", "nbi"), ("one bit", "nbc")])
 def test_a_damaged_kernel_is_compiled_again_once(package, cache, damage, suffix):
     (path,) = cache.rglob(f"caller*.{suffix}")
@@ -180,6 +183,7 @@ def test_a_damaged_kernel_is_compiled_again_once(package, cache, damage, suffix)
     assert run(package, cache, CALL)[:2] == ["2", "1"]
 
 
+@pytest.mark.slow
 def test_a_cache_that_cannot_be_written_costs_the_cache_and_not_the_call(package, tmp_path):
     """Opening for writing fails as on a full disk."""
     script = "import numba.core.caching as c, errno\n" \
@@ -190,12 +194,14 @@ def test_a_cache_that_cannot_be_written_costs_the_cache_and_not_the_call(package
     assert done.stderr.count("flexman_gym cannot cache compiled kernels: ") == 1
 
 
+@pytest.mark.slow
 def test_folders_are_the_users_alone(package, cache):
     (result,) = cache.glob("flexman_gym/*")
     for folder in (result, result.parent):
         assert stat.S_IMODE(folder.stat().st_mode) == 0o700
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("level", [0, 1])
 def test_a_folder_open_to_others_is_not_read(package, cache, tmp_path, level):
     """The folder is emptied and closed; code in a file that others could have written is not executed."""
@@ -219,6 +225,7 @@ def test_a_folder_open_to_others_is_not_read(package, cache, tmp_path, level):
     assert (inner.parent / "mine.txt").read_text() == "mine", "a folder of that name may hold other things"
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.getuid() != 0, reason="only root can give a folder to somebody else")
 @pytest.mark.parametrize("prepared", ["foreign", "open", "link"])
 def test_a_prepared_folder_in_the_temporary_folder_is_refused(package, tmp_path, prepared):
@@ -242,6 +249,7 @@ def test_a_prepared_folder_in_the_temporary_folder_is_refused(package, tmp_path,
     assert not [path for path in tmp_path.rglob("*.nb*")]
 
 
+@pytest.mark.slow
 def test_the_temporary_folder_is_used_with_one_message_if_the_home_cannot_be_written(package, tmp_path):
     (tmp_path / "file").write_text("")
     for hits in ("0", "1"):
@@ -252,11 +260,13 @@ def test_the_temporary_folder_is_used_with_one_message_if_the_home_cannot_be_wri
     assert stat.S_IMODE((tmp_path / f"user-{os.getuid()}").stat().st_mode) == 0o700
 
 
+@pytest.mark.slow
 def test_a_home_that_does_not_exist_is_not_made(package, tmp_path):
     words = run(package, "", CALL, HOME=str(tmp_path / "home"), XDG_CACHE_HOME="", TMPDIR=str(tmp_path))
     assert words[:2] == ["2", "0"] and not (tmp_path / "home").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "value", "another"), [("BOUNDSCHECK", "1", "0"), ("CPU_NAME", "generic", ""), ("OPT", "1", "3")]
 )

@@ -94,6 +94,7 @@ def test_accelerations_allocate_no_more_for_a_longer_arm(links, counting):
         assert blocks <= arrays and objects <= arrays
 
 
+@pytest.mark.slow
 def test_an_edited_kernel_is_never_served_from_the_cache_of_its_callers(tmp_path):
     """Numba alone would return 2 again: it checks only the file of the caller."""
     package, cache = tmp_path / "package", tmp_path / "cache"
@@ -109,6 +110,7 @@ def test_an_edited_kernel_is_never_served_from_the_cache_of_its_callers(tmp_path
     assert cache in Path(new_folder).parents and cache in Path(old_folder).parents
 
 
+@pytest.mark.slow
 def test_the_kernels_come_from_the_cache_in_another_process():
     model = fm.build_model(fm.catalog.one_link())
     fm.acceleration(model, np.zeros(2 * model.n_dof), [0.0])
@@ -124,6 +126,7 @@ def test_binaries_are_in_the_folder_of_these_sources():
     assert files == {f"{name}.py" for name in (*kernels.__all__, "__init__", "cache")}
 
 
+@pytest.mark.slow
 def test_other_packages_keep_their_cache_folder(tmp_path):
     """`numba.config.CACHE_DIR` is as it was before the import."""
     script = "import numba; before = numba.config.CACHE_DIR; import flexman_gym; print(before, numba.config.CACHE_DIR)"

@@ -17,6 +17,7 @@ from oracles.chains import QUICK, affected
 PERIOD = (2e-3, 2)
 
 
+@pytest.mark.slow
 @QUICK
 @given(affected())
 def test_both_equal_the_dense_equations_with_every_effect(case):
@@ -39,6 +40,7 @@ def tip_accelerations(integrator, states, drives):
     return result
 
 
+@pytest.mark.slow
 @QUICK
 @given(affected(), st.sampled_from(["ros2", "midpoint_3", "midpoint_corrected_3"]))
 def test_a_single_arm_has_the_bits_of_one_among_seventeen(case, method):

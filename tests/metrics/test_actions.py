@@ -24,6 +24,7 @@ def sine(frequency, phase=0.0, amplitude=1.0, place=0.0, time=TIME):
     return place + amplitude * np.sin(2 * np.pi * frequency * time + phase)[:, None]
 
 
+@pytest.mark.slow
 @given(st.floats(0.3, 1.6), st.floats(0.0, 6.28), st.floats(-5.0, 5.0), st.sampled_from([200, 333, 501]))
 def test_a_sine_below_the_frequency_has_no_power_above_and_one_above_has_all(frequency, phase, place, count):
     """For any number of cycles and any offset."""

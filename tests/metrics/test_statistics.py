@@ -109,6 +109,7 @@ def test_what_lies_in_the_outer_quarters_does_not_count():
     assert interquartile_mean(np.array([1.0, 2.0, np.inf, np.inf])) == np.inf
 
 
+@pytest.mark.slow
 def test_intervals_cover_the_truth_in_93_to_97_percent_of_1000_simulated_leagues():
     """Normal scores on three environments of different means, which together lie evenly around 0: so does their IQM."""
     leagues = np.random.default_rng(1).normal([-1.0, 0.0, 1.0], 1.0, (1000, 60, 3))
@@ -118,6 +119,7 @@ def test_intervals_cover_the_truth_in_93_to_97_percent_of_1000_simulated_leagues
         assert 0.93 <= covered <= 0.97, statistic
 
 
+@pytest.mark.slow
 def test_the_interval_of_a_mean_is_that_of_its_standard_error():
     """A mean of 400 samples is normal; strata of their own means add nothing to its spread."""
     scores = np.random.default_rng(2).standard_normal((400, 2))

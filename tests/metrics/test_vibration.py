@@ -13,6 +13,7 @@ PERIOD = 0.02
 TIME = PERIOD * np.arange(501)  # 10 s
 
 
+@pytest.mark.slow
 @given(st.floats(0.001, 1.0), st.integers(1, 5), st.integers(0, 2))
 def test_peak_to_peak_of_a_sine_is_twice_its_amplitude_along_its_axis(amplitude, frequency, axis):
     """Whole periods in the last 3 s, after a large motion; the sum over two axes would be larger."""

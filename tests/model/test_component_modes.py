@@ -21,6 +21,7 @@ def beams_of(sample):
     return tuple(map(build_beam, sample.arm.links, sample.elements, sample.flexible_links))
 
 
+@pytest.mark.slow
 @settings(QUICK)
 @given(samples())
 def test_outboard_inertia_is_a_sum_over_mass_points(sample):
@@ -76,6 +77,7 @@ def test_rounding_does_not_choose_which_of_two_equal_modes_comes_first(change):
     assert np.array_equal(*planes)
 
 
+@pytest.mark.slow
 @settings(QUICK)
 @given(samples(flexible_links=True))
 def test_loaded_modes_are_orthonormal_and_ascend(sample):
@@ -105,6 +107,7 @@ def test_modal_damping_gives_every_mode_its_ratio(sample, ratio):
         assert np.allclose(modal, 2 * ratio * np.eye(k), rtol=0.0, atol=1e-5 * ratio)
 
 
+@pytest.mark.slow
 @settings(QUICK)
 @given(samples(reduced=False))
 def test_all_modes_are_the_finite_element_model(sample):
@@ -123,6 +126,7 @@ def test_all_modes_are_the_finite_element_model(sample):
     assert np.abs(scale * (result - expected)).max() <= 1e-7 * np.abs(scale * expected).max()
 
 
+@pytest.mark.slow
 @settings(QUICK)
 @given(samples(reduced=True))
 def test_kept_modes_count_as_asked_and_rigid_links_have_none(sample):

@@ -54,6 +54,7 @@ def test_between_elements_the_outboard_one_is_taken():
     assert fm.curvature(model, state, 0, np.nextafter(1.0, 0.0))[0] == pytest.approx(0.01)
 
 
+@pytest.mark.slow
 @settings(QUICK)
 @given(samples(most_links=3))
 def test_strain_holds_the_elastic_energy_of_the_links(sample):
@@ -104,6 +105,7 @@ def cantilever(load, elements=2, **switches):
     return model, state
 
 
+@pytest.mark.slow
 @settings(QUICK, max_examples=15)
 @given(samples(most_links=4, stiffening=None))
 def test_a_chain_ends_at_its_tip_and_its_links_join(sample):

@@ -34,6 +34,7 @@ def slope(function, x, v):
 # Identities on random chains
 
 
+@pytest.mark.slow
 @settings(QUICK, max_examples=60)
 @given(samples(stiffening=None))
 def test_the_recursion_equals_the_dense_equations(sample):
@@ -48,6 +49,7 @@ def test_the_recursion_equals_the_dense_equations(sample):
     assert np.abs(scale * (actual - expected)).max() <= max(PRECISION, rounding) * largest
 
 
+@pytest.mark.slow
 @settings(QUICK)
 @given(samples(stiffening=None))
 def test_the_mass_matrix_is_the_dense_one_and_positive_definite(sample):
@@ -60,6 +62,7 @@ def test_the_mass_matrix_is_the_dense_one_and_positive_definite(sample):
     assert np.linalg.eigvalsh(mass / np.outer(scale, scale)).min() > 0.0
 
 
+@pytest.mark.slow
 @settings(QUICK)
 @given(samples(stiffening=None))
 def test_forward_and_inverse_dynamics_undo_each_other(sample):
@@ -73,6 +76,7 @@ def test_forward_and_inverse_dynamics_undo_each_other(sample):
     assert np.abs((demanded - given_forces) / scale).max() <= PRECISION * inertial
 
 
+@pytest.mark.slow
 @settings(QUICK)
 @given(samples(stiffening=None))
 def test_tip_and_energies_are_the_dense_ones(sample):
@@ -88,6 +92,7 @@ def test_tip_and_energies_are_the_dense_ones(sample):
     assert out[layout.GRAVITATIONAL] == pytest.approx(gravitational, rel=0.0, abs=PRECISION * size)
 
 
+@pytest.mark.slow
 @settings(QUICK)
 @given(samples(stiffening=None))
 def test_half_v_m_v_is_the_kinetic_energy(sample):
@@ -96,6 +101,7 @@ def test_half_v_m_v_is_the_kinetic_energy(sample):
     assert v @ mass @ v / 2 == pytest.approx(observed(sample.model, x, v)[layout.KINETIC], rel=PRECISION)
 
 
+@pytest.mark.slow
 @settings(QUICK)
 @given(samples(stiffening=None))
 def test_tip_velocity_is_the_derivative_of_tip_position(sample):
@@ -108,6 +114,7 @@ def test_tip_velocity_is_the_derivative_of_tip_position(sample):
     assert np.abs(slopes[layout.DEFLECTION] - out[layout.DEFLECTION_RATE]).max() < 1e-8 * speed
 
 
+@pytest.mark.slow
 @settings(QUICK)
 @given(samples(stiffening=None))
 def test_forces_of_constant_speeds_have_the_power_that_energy_takes(sample):
@@ -123,6 +130,7 @@ def test_forces_of_constant_speeds_have_the_power_that_energy_takes(sample):
     assert v @ h == pytest.approx(power, rel=0.0, abs=1e-7 * size * np.abs(v).max())
 
 
+@pytest.mark.slow
 @settings(QUICK)
 @given(samples(flexible_joints=True))
 def test_a_rigid_joint_is_a_spring_that_does_not_move(sample):
@@ -144,6 +152,7 @@ def test_a_rigid_joint_is_a_spring_that_does_not_move(sample):
     assert np.abs((expected @ acceleration - forces) / scale).max() <= PRECISION * np.abs(scale * acceleration).max()
 
 
+@pytest.mark.slow
 @settings(QUICK)
 @given(samples(reduced=False, stiffening=None))  # the sign of a mode may turn
 def test_turning_the_whole_scene_changes_nothing(sample):
@@ -168,6 +177,7 @@ def test_turning_the_whole_scene_changes_nothing(sample):
     assert close(observed(model, x, v)[layout.TIP], turn @ observed(sample.model, x, v)[layout.TIP])
 
 
+@pytest.mark.slow
 @settings(QUICK)
 @given(samples(flexible_links=False, flexible_joints=False))
 def test_a_rigid_arm_has_no_deflection(sample):
@@ -176,6 +186,7 @@ def test_a_rigid_arm_has_no_deflection(sample):
     assert close(out[layout.DEFLECTION_RATE] + out[layout.TIP_VELOCITY], out[layout.TIP_VELOCITY])
 
 
+@pytest.mark.slow
 @settings(QUICK)
 @given(samples(flexible_links=False, flexible_joints=False))
 def test_the_rigid_limit_is_pinocchio(sample):
@@ -195,6 +206,7 @@ def test_a_sample_is_what_it_says():
     assert max(bend) == pytest.approx(0.05)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ratio", [0.0, 0.1, 1.0])
 def test_a_beam_on_a_free_hub_has_its_frequencies(ratio):
     link = slender_link(1.0, 1.0, 1.0)
@@ -205,6 +217,7 @@ def test_a_beam_on_a_free_hub_has_its_frequencies(ratio):
     assert result[1:4] == pytest.approx(expected, rel=2e-5)  # (b h)^4 / 1440: 7e-6 at the third
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("tip", "clamped", "expected"),
     [  # Hz, verification.md: closed form of this arm
@@ -253,6 +266,7 @@ def test_the_paper_arm_has_its_first_elastic_frequencies():
     assert np.round(result[3:5], 1).tolist() == [4.5, 9.5]
 
 
+@pytest.mark.slow
 @settings(QUICK, max_examples=15)
 @given(samples(most_links=3))
 def test_frequencies_are_those_of_the_dense_mass_matrix_and_stiffness(sample):

@@ -34,6 +34,7 @@ def link_motion(model, state, torque):
     return np.array([state[:n], state[d : d + n], rates[d : d + n], jerks[:n], snaps[:n]])
 
 
+@pytest.mark.slow
 @settings(QUICK, max_examples=40)
 @given(samples(flexible_links=False, flexible_joints=False))
 def test_rigid_forward_and_inverse_dynamics_undo_each_other(sample):
@@ -44,6 +45,7 @@ def test_rigid_forward_and_inverse_dynamics_undo_each_other(sample):
     assert np.abs(result - torque).max() <= 1e-11 * max(size, np.abs(torque).max())
 
 
+@pytest.mark.slow
 @settings(QUICK, max_examples=40)
 @given(samples(flexible_links=False, flexible_joints=None))
 def test_with_springs_forward_and_inverse_dynamics_undo_each_other(sample):
@@ -105,6 +107,7 @@ def test_stiff_joints_approach_rigid_ones_as_one_over_stiffness():
 # Tip acceleration
 
 
+@pytest.mark.slow
 @settings(QUICK, max_examples=40)
 @given(samples())
 def test_tip_acceleration_is_the_bend_of_the_tips_path(sample):

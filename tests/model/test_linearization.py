@@ -65,6 +65,7 @@ def test_a_level_pendulum_has_no_stiffness():
     assert abs(linear.A[1, 0]) <= 1e-12 * square
 
 
+@pytest.mark.slow
 @settings(QUICK)
 @given(samples())
 def test_columns_of_b_are_those_of_the_inverse_mass_matrix(sample):
@@ -88,6 +89,7 @@ def test_columns_of_b_are_those_of_the_inverse_mass_matrix(sample):
     assert np.abs(scale[:, None] * (result - expected)).max() <= max(1e-9, 10 * rounding) * largest
 
 
+@pytest.mark.slow
 @settings(QUICK)
 @given(samples())
 def test_a_holds_the_slopes_of_the_compiled_accelerations(sample):
@@ -127,6 +129,7 @@ def test_the_jacobian_of_inertial_forces_has_the_identities_of_mechanics(sample)
     assert abs(v @ h - v @ by_place @ v / 2.0) <= rounding @ np.abs(v)
 
 
+@pytest.mark.slow
 @settings(QUICK)
 @given(samples(flexible_links=False, flexible_joints=False))
 def test_the_rigid_limit_is_pinocchio(sample):
@@ -162,6 +165,7 @@ def test_the_linear_response_is_left_by_the_square_of_the_amplitude():
     assert np.divide(gaps[:-1], gaps[1:]) == pytest.approx([4.0, 4.0], rel=0.1)
 
 
+@pytest.mark.slow
 @settings(QUICK)
 @given(samples())
 def test_c_is_the_slope_of_the_tip(sample):

@@ -43,6 +43,7 @@ def bending(beam):
     return (matrix[np.ix_(columns, columns)] for matrix in (beam.stiffness, beam.mass_matrix))
 
 
+@pytest.mark.slow
 @settings(QUICK)
 @given(samples(most_links=3, reduced=False), st.booleans(), st.floats(0.0, 1.0))
 def test_two_equal_halves_are_the_uniform_link(sample, stiffening, along):

@@ -68,6 +68,7 @@ def stocky(side, length=1.0):
     return fm.Link(length, side**2, moment, moment, 1.69 * moment, 70e9, 26e9, 2700.0)
 
 
+@pytest.mark.slow
 @settings(QUICK)
 @given(samples(most_links=4, reduced=False))
 def test_accelerations_are_those_of_sections_that_spin_about_the_beam_axis(sample):
@@ -83,6 +84,7 @@ def test_accelerations_are_those_of_sections_that_spin_about_the_beam_axis(sampl
     assert np.abs(error).max() <= 1e-6 * np.abs(scale * expected).max()
 
 
+@pytest.mark.slow
 @settings(QUICK)
 @given(samples(most_links=4), st.booleans())
 def test_kinetic_energy_is_half_v_m_v(sample, stiffening):
@@ -91,6 +93,7 @@ def test_kinetic_energy_is_half_v_m_v(sample, stiffening):
     assert kinetic_energy(model, x, v) == pytest.approx(expected, rel=1e-9)
 
 
+@pytest.mark.slow
 @settings(QUICK)
 @given(samples(most_links=3, flexible_links=False))
 def test_a_rigid_arm_loses_the_energy_of_its_tilting_sections(sample):
@@ -103,6 +106,7 @@ def test_a_rigid_arm_loses_the_energy_of_its_tilting_sections(sample):
     assert kinetic_energy(with_it, x, v) - kinetic_energy(model, x, v) == pytest.approx(lost, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_a_spinning_twisting_bending_chain_keeps_its_energy():
     rng = np.random.default_rng(3)
     links = [replace(random_link(rng), length=0.5, youngs_modulus=2e8, shear_modulus=5e7) for _ in range(3)]
@@ -125,6 +129,7 @@ def test_a_spinning_twisting_bending_chain_keeps_its_energy():
     assert np.linalg.norm(tips[1] - tips[0]) > 1e-5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gyration", [1e-4, 1e-3])
 def test_a_stocky_beam_is_eulers_without_and_rayleighs_with_it(gyration):
     """A square bar of side a has I / (A L^2) = a^2 / (12 L^2)."""

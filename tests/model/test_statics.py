@@ -28,6 +28,7 @@ def cantilever(load, elements=3, gravity=(0.0, -WEIGHT, 0.0), stiffness=None):
     return fm.build_model(fm.Arm([link], [joint], fm.Payload(load) if load else None, gravity), elements)
 
 
+@pytest.mark.slow
 @settings(QUICK, max_examples=25)
 @given(samples(most_links=3, stiffening=None), st.integers(0, 100))
 def test_nothing_accelerates_at_rest_under_the_holding_torques(sample, seed):
@@ -72,6 +73,7 @@ def test_a_small_sag_is_the_formula_to_nine_digits():
     )
 
 
+@pytest.mark.slow
 @settings(deadline=None)
 @given(st.floats(-3.0, 3.0), st.floats(50.0, 5000.0))
 def test_a_spring_gives_way_until_it_holds_the_weight(angle, stiffness):
@@ -117,6 +119,7 @@ def test_the_vertical_arm_sags_by_some_seven_centimetres():
     assert (np.abs(fm.holding_torques(model, [0.0, 0.0])) < 0.7 * np.array(limits)).all()
 
 
+@pytest.mark.slow
 @settings(QUICK, max_examples=25)
 @given(samples(most_links=3, stiffening=None), st.integers(0, 100))
 def test_holding_torques_of_the_rigid_arm_are_the_gradient_of_its_gravitational_energy(sample, seed):

@@ -25,6 +25,7 @@ def stiffened(sample):
     )
 
 
+@pytest.mark.slow
 def test_a_link_spun_past_its_first_bending_frequency_follows_the_reference():
     scene, expected = fm.Scene.load(REFERENCE / "spin_up_stiffened.json"), reference("spin_up_stiffened")
     trajectory = fm.simulate(scene, rtol=1e-8, atol=1e-10)
@@ -33,6 +34,7 @@ def test_a_link_spun_past_its_first_bending_frequency_follows_the_reference():
     assert np.abs(trajectory.energy - expected[:, -1]).max() < 1e-6 * expected[:, -1].max()
 
 
+@pytest.mark.slow
 def test_without_foreshortening_the_same_link_bends_by_half_its_length_and_more():
     scene = fm.Scene.load(REFERENCE / "spin_up_stiffened.json")
     linear = fm.build_model(scene.arm, elements=3, flexible_joints=False)
@@ -52,6 +54,7 @@ def test_the_papers_arm_stays_near_the_large_rotation_solution(stiffening, first
         assert error.max() > 5e-3  # what foreshortening repairs
 
 
+@pytest.mark.slow
 @settings(QUICK)
 @given(samples())
 def test_forward_and_inverse_dynamics_undo_each_other(sample):
@@ -66,6 +69,7 @@ def test_forward_and_inverse_dynamics_undo_each_other(sample):
     assert np.abs(forces - expected).max() <= 1e-8 * max(np.abs(expected).max(), 1e-9)
 
 
+@pytest.mark.slow
 @settings(QUICK)
 @given(samples())
 def test_the_mass_matrix_is_positive_and_gives_the_kinetic_energy(sample):
@@ -77,6 +81,7 @@ def test_the_mass_matrix_is_positive_and_gives_the_kinetic_energy(sample):
     assert v @ mass @ v / 2 == pytest.approx(observed(model, x, v)[layout.KINETIC], rel=1e-9)
 
 
+@pytest.mark.slow
 def test_energy_is_kept_while_the_link_bends_and_straightens():
     scene = fm.Scene.load(REFERENCE / "spin_up_stiffened.json")
     trajectory = fm.simulate(scene, rtol=1e-9, atol=1e-11)

@@ -33,18 +33,21 @@ def hertz(root):
     return root**2 * np.sqrt(rigidity / line) / (2.0 * np.pi * STRIP.length**2)
 
 
+@pytest.mark.slow
 def test_a_clamped_strip_has_the_frequencies_of_its_closed_form():
     model = fm.build_model(fm.Arm([STRIP], [HUB]), 28, rotary_inertia=False)
     roots = [brentq(lambda z: np.cos(z) + 1.0 / np.cosh(z), low, low + 1.0) for low in (1.4, 4.2)]
     assert in_plane(model, "held")[:2] == pytest.approx([hertz(root) for root in roots], rel=1e-6)
 
 
+@pytest.mark.slow
 def test_a_pinned_strip_has_the_frequencies_of_its_closed_form():
     model = fm.build_model(fm.Arm([STRIP], [HUB]), 28, rotary_inertia=False)
     root = brentq(lambda z: np.tan(z) - np.tanh(z), 3.5, 4.2)
     assert in_plane(model, "free")[0] == pytest.approx(hertz(root), rel=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ratio", [0.3, 4.0])
 def test_a_clamped_strip_with_a_tip_mass_has_the_frequencies_of_its_closed_form(ratio):
     """1 + cos cosh + ratio z (cos sinh - sin cosh) = 0 for a mass of `ratio` times that of the strip."""

@@ -25,6 +25,7 @@ def slope(function, step):
     return (4 * differences[0] - differences[1]) / 3
 
 
+@pytest.mark.slow
 @settings(QUICK)
 @given(samples(most_links=4, stiffening=None))
 def test_accelerations_are_those_of_lagranges_equations(sample):
@@ -53,6 +54,7 @@ def test_accelerations_are_those_of_lagranges_equations(sample):
     assert momentum(x, v) == pytest.approx(u @ mass @ v, abs=1e-11 * energy)
 
 
+@pytest.mark.slow
 @settings(QUICK)
 @given(samples(flexible_links=False))
 def test_the_first_motor_alone_gives_momentum_about_its_axis(sample):
@@ -75,6 +77,7 @@ def test_a_spinning_rotor_is_turned_by_joints_along_its_axis_only():
     assert extra == pytest.approx(expected, abs=1e-12)
 
 
+@pytest.mark.slow
 @settings(QUICK)
 @given(samples(most_links=4, stiffening=None))
 def test_forces_on_tip_and_base_do_their_power(sample):
@@ -90,6 +93,7 @@ def test_forces_on_tip_and_base_do_their_power(sample):
     assert shaken == pytest.approx(-masses @ velocities @ shake, rel=1e-9, abs=noise)
 
 
+@pytest.mark.slow
 @settings(QUICK)
 @given(samples(most_links=4))
 def test_prescribed_motors_take_the_torque_that_moves_them_so(sample):

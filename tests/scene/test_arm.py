@@ -218,6 +218,7 @@ def test_energy_is_kept_with_a_heavy_body_off_the_tip():
     assert np.abs(trajectory.energy_residual).max() < 1e-7 * kinetic_scale
 
 
+@pytest.mark.slow
 def test_a_payload_off_the_tip_weighs_where_its_centre_is():
     """Against the same mass at the tip of a rigid arm, in any posture."""
     arm, offset, mass = fm.catalog.paper_rrr(gravity=GRAVITY), np.array([0.3, -0.2, 0.1]), 4.0

@@ -164,6 +164,7 @@ def sensible(rng):
     return fm.Arm(links, joints, load, (0.0, 0.0, -9.81), 1e-4, 0.01)
 
 
+@pytest.mark.slow
 def test_sensible_arms_are_not_warned_of():
     rng = np.random.default_rng(5)
     with warnings.catch_warnings():

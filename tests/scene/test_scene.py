@@ -200,6 +200,7 @@ def test_a_reference_scene_loads_and_round_trips(path, suffix, tmp_path):
     assert Scene.load(str(tmp_path / f"scene{suffix}")) == scene
 
 
+@pytest.mark.slow
 @given(scenes())
 @settings(deadline=None)
 def test_what_is_saved_is_what_loads(tmp_path_factory, scene):
@@ -210,6 +211,7 @@ def test_what_is_saved_is_what_loads(tmp_path_factory, scene):
         assert Scene.load(folder / name) == scene
 
 
+@pytest.mark.slow
 @given(scenes())
 @settings(deadline=None)
 def test_a_saved_yaml_scene_is_what_other_readers_see(tmp_path_factory, scene):
@@ -297,6 +299,7 @@ JSON = json.dumps(SCENE.to_dict())
 LINK = "arm:\n  links:\n    - length: "
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "content", "said"),
     [
@@ -359,6 +362,7 @@ def test_yaml_has_the_numbers_and_words_of_json_alone(tmp_path):
         assert Scene.load(path) == SCENE, written
 
 
+@pytest.mark.slow
 @given(st.binary() | st.text().map(str.encode) | st.text("[]{}:,-?!&*\"' \n01e.a#|>%").map(str.encode))
 @settings(deadline=None)
 def test_any_bytes_are_refused_in_one_line(tmp_path_factory, content):

@@ -30,6 +30,7 @@ def everything(batch):
     return [np.array(getattr(batch, name)) for name in names]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("stiffening", [False, True])
 def test_an_arm_among_many_moves_as_it_would_alone(method, stiffening):
@@ -139,6 +140,7 @@ def test_joints_are_those_of_an_arm_with_such_joints(factors, spinning):
     assert_varied(ARM, replace(ARM, joints=joints), values, spinning_rotors=spinning)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", fm.METHODS)
 def test_parameters_act_by_every_method(method):
     """An arm with a heavier payload, one of two, ends where an arm with such a payload ends by the same method."""

@@ -44,6 +44,7 @@ def drives_for(model, held, seed):
     return drives
 
 
+@pytest.mark.slow
 @QUICK
 @given(
     affected(),
@@ -133,6 +134,7 @@ def test_a_task_that_nobody_waited_for_is_done_before_the_next():
     assert result == [1, 2]
 
 
+@pytest.mark.slow
 def test_the_thread_ends_with_its_owner():
     before = set(threading.enumerate())
     helper = WorkerThread()

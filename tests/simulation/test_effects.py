@@ -22,6 +22,7 @@ def gap(case, x, actual, expected):
     return np.abs(mass @ (actual - expected) / scale).max() / max(np.abs(scale * expected).max(), 1e-9)
 
 
+@pytest.mark.slow
 @settings(QUICK, max_examples=50)
 @given(affected())
 def test_the_recursion_equals_the_dense_equations_with_every_effect(case):
@@ -45,6 +46,7 @@ def test_the_recursion_equals_the_dense_equations_with_every_effect(case):
         assert abs(result - torques[joint]) <= max(1e-9, 10 * np.finfo(float).eps * condition) * size
 
 
+@pytest.mark.slow
 @settings(QUICK, max_examples=20)
 @given(affected())
 def test_the_ledger_balances_with_every_effect(case):
@@ -59,6 +61,7 @@ def test_the_ledger_balances_with_every_effect(case):
     assert abs(simulator.energy_residual) <= 1e-8 * simulator.energy_turnover
 
 
+@pytest.mark.slow
 @settings(QUICK)
 @given(affected(held=False))
 def test_kinetic_energy_and_inverse_dynamics_know_the_spinning_rotors(case):
@@ -81,6 +84,7 @@ def test_kinetic_energy_and_inverse_dynamics_know_the_spinning_rotors(case):
     assert np.abs((demanded - applied) / scale).max() <= 1e-9 * np.abs(scale * acceleration).max()
 
 
+@pytest.mark.slow
 def test_angular_momentum_with_spinning_rotors_is_the_torque_times_time():
     """About the vertical first axis every rotor now takes part: the momentum of all coordinates is 400 t."""
     scene = replace(fm.catalog.paper_scene("ff"), duration=1.0)

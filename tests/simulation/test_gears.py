@@ -18,6 +18,8 @@ from flexman_gym.simulation.parameters import nominal_parameters, varied_model
 from oracles.chains import QUICK, laden_rrr
 from oracles.random_inputs import drives, states_of
 
+pytestmark = pytest.mark.slow
+
 Z, INERTIA, COULOMB = (0.0, 0.0, 1.0), 0.4, 2.0
 RIGID = {"flexible_links": False}
 STRIP = fm.Link.strip(0.5, 0.04, 0.003)

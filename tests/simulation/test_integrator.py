@@ -47,6 +47,7 @@ def structure(case, v):
     return stiffness, damping
 
 
+@pytest.mark.slow
 @settings(QUICK, max_examples=50)
 @given(affected(), st.sampled_from([1e-4, 1e-3, 1e-2]))
 def test_a_linearly_implicit_euler_step_solves_the_dense_linear_system(case, step):
@@ -104,6 +105,7 @@ def both(monkeypatch, scene, **options):
     return result
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize(("flexible", "stiffening"), [(False, False), (True, False), (True, True)])
 @pytest.mark.parametrize("step", [0.01, 0.04, None])
@@ -164,6 +166,7 @@ PARTED = [
 ]  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "step"), PARTED)
 def test_a_run_in_many_calls_has_the_bits_of_the_run_in_one(name, step, monkeypatch):
     """Between calls Ctrl-C is heard. The torque changes with time, outputs fall between and within calls."""
@@ -176,6 +179,7 @@ def test_a_run_in_many_calls_has_the_bits_of_the_run_in_one(name, step, monkeypa
         assert np.array_equal(parted.work, whole.work)
 
 
+@pytest.mark.slow
 def test_a_run_in_many_calls_ends_where_it_diverges(monkeypatch):
     wild = replace(scene(), torque=fm.ConstantTorque([1e6, 0.0]), output_step=DURATION / 500)
     for name, step, most in (("rk4", 1e-3, 7), ("dop853", None, 1001)):
@@ -207,6 +211,7 @@ def test_a_long_control_period_has_the_bits_of_one_call(arms, threads, most, mon
         assert np.array_equal(whole.status, parted.status) and whole.status.any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("most", [1, 3, 10, 40])
 @pytest.mark.parametrize("method", ["ros2", "midpoint_3", "gauss_2", "extrapolated_euler_3"])
 def test_scenes_side_by_side_in_many_calls_have_the_bits_of_one(method, most, monkeypatch):
@@ -307,6 +312,7 @@ for work, little, much in (
 """
 
 
+@pytest.mark.slow
 def test_ctrl_c_ends_a_long_run_soon():
     """Each of them would take minutes, a stiff one of an adaptive method hours."""
     child = subprocess.Popen([sys.executable, "-c", LONG_RUNS], stdout=subprocess.PIPE, text=True)

@@ -78,6 +78,7 @@ def test_the_energy_ledger_converges_with_the_order_of_the_method(name):
     assert seen > order - 0.5  # at least: errors of opposite sign leave it wavering
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name in ADAPTIVE if name != "radau"])
 def test_the_error_of_an_adaptive_method_follows_rtol(name):
     tolerances = 10.0 ** -np.arange(5, 11)  # with looser ones a step of order 8 is too long for its error estimate
@@ -88,6 +89,7 @@ def test_the_error_of_an_adaptive_method_follows_rtol(name):
     assert work == sorted(work) and work[0] < work[-1]
 
 
+@pytest.mark.slow
 def test_three_families_agree():
     """The reference has only its own word for it; other methods at their finest say the same."""
     assert error("rk4", step=DURATION / 4096) < 1e-9
@@ -349,6 +351,7 @@ def rung_down(model, method, step, states, seconds):
     return batch, before
 
 
+@pytest.mark.slow
 def test_a_released_vibration_keeps_its_energy_and_its_tip():
     """3 s after 2.5 cm at the tip of every link; ros2 at 5 ms, which costs as much, misses both."""
     model, seconds = default_model(), 3.0
@@ -401,6 +404,7 @@ def test_two_stages_let_no_vibration_grow_by_more_than_a_ten_thousandth(method):
     assert spectral_radii(METHODS[method], 1e6) == pytest.approx(1.0, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_two_stages_follow_a_slew_ten_times_closer_at_the_cost_of_the_default():
     """Steps of 20 ms with three iterations, seven evaluations; the default takes nine. Random torques, from rest."""
     model, random = default_model(), np.random.default_rng(1)

@@ -14,6 +14,8 @@ from oracles.chains import QUICK, samples
 from oracles.dense import Chain
 from oracles.files import REFERENCE
 
+pytestmark = pytest.mark.slow
+
 SCENES = ("paper_rr", "paper_fr", "paper_ff", "gravity_payload_ff", "pendulum_1")
 TOLERANCE = 1e-6  # m at the tip, rad at joints, of the largest energy; the references are within 3e-8 m
 # The reference scenes hold the printed area of link 1 and that of `one_link`, which no section can have.
@@ -247,6 +249,7 @@ def energies(sample, torque):
     return np.array(parts), np.array(residual)
 
 
+@pytest.mark.slow
 @settings(QUICK, max_examples=20)
 @given(samples(stiffening=None))
 def test_energy_is_kept_without_damping_and_torque(sample):
@@ -259,6 +262,7 @@ def test_energy_is_kept_without_damping_and_torque(sample):
     assert np.abs(parts.sum(axis=1) - parts[0].sum()).max() <= PRECISION * size
 
 
+@pytest.mark.slow
 @settings(QUICK, max_examples=20)
 @given(samples(stiffening=None))
 def test_work_is_what_energy_and_dampers_take(sample):

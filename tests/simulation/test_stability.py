@@ -8,6 +8,7 @@ from flexman_gym.simulation.methods import METHODS
 from flexman_gym.simulation.stability import amplitude_range
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["midpoint_3", "midpoint_corrected_3"])
 @pytest.mark.parametrize("angle", [0.3, 1.2])
 def test_the_amplitude_of_a_linear_vibration_oscillates_within_its_bounds_and_reaches_them(method, angle):

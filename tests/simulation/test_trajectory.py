@@ -26,6 +26,7 @@ def test_the_turnover_is_the_largest_energy_work_or_loss_so_far():
     assert result.energy_turnover[-1] == pytest.approx(fallen, rel=0.05)
 
 
+@pytest.mark.slow
 def test_the_reference_method_raises_no_alarm():
     result = fm.simulate(SCENE)
     assert result.energy_alarm() is None and result.energy_alarm(1e-5) is None
@@ -215,6 +216,7 @@ def test_a_rigid_rod_that_spins_is_pulled_and_bent_by_its_own_mass():
     assert np.abs(loads[:, [1, 3, 5]]).max() < 1e-10
 
 
+@pytest.mark.slow
 def test_bending_moments_are_those_of_the_curvature():
     """Of a light strip with a heavy tip at rest: E I v'' about z and -E I w'' about y."""
     light = replace(STRIP, density=1e-3)

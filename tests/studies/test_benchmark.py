@@ -14,6 +14,8 @@ from studies.files import read_rows
 
 from oracles.files import command
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def quick(tmp_path_factory):

@@ -45,6 +45,7 @@ def test_the_page_names_deviations_and_orders_beyond_their_limits_and_costs():
     assert "Without an explanation" in text and "motion cost 3 simulations" in text
 
 
+@pytest.mark.slow
 def test_every_cost_is_measured_beside_its_simulation():
     rows = cost_rows(1)
     assert [row.name for row in rows] == [row.name for row in COSTS]

@@ -101,6 +101,7 @@ def test_lengths_have_units_that_a_reader_can_imagine():
     ]  # fmt: skip
 
 
+@pytest.mark.slow
 def test_the_default_is_judged_by_finer_steps_and_a_finer_model():
     """Halving the step of the default quarters its error, since its method has order 2."""
     default, half = accuracy("FlexPlanar-v0"), accuracy("FlexPlanar-v0", step=0.00125)

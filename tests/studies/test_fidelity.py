@@ -26,6 +26,7 @@ def test_the_published_rows_have_the_columns_of_the_study(published):
     assert len(published) == len(scenes()) * len(measure.TOLERANCES)
 
 
+@pytest.mark.slow
 def test_a_choice_is_measured_beside_plain_runs(monkeypatch):
     monkeypatch.setattr(measure, "TOLERANCES", (1e-1,))
     monkeypatch.setattr(measure, "GRID_METHODS", ("rk4",))
@@ -36,6 +37,7 @@ def test_a_choice_is_measured_beside_plain_runs(monkeypatch):
     assert row.dearer == pytest.approx(row.cost / row.grid) and 0.0 < row.cost < 1.0 and math.isfinite(row.grid)
 
 
+@pytest.mark.slow
 def test_a_choice_with_an_open_mesh_is_measured_beside_plain_meshes(monkeypatch):
     monkeypatch.setattr(measure, "TOLERANCES", (1e-1,))
     monkeypatch.setattr(measure, "OPEN_METHODS", ("midpoint_2",))

@@ -18,6 +18,8 @@ from oracles import cells
 from oracles.assertions import refusal
 from oracles.runs import RUNS
 
+pytestmark = pytest.mark.slow
+
 SEEDS, RECIPE = range(5), replace(RUNS["ppo"], eval_every=0)
 WAYS = {
     "processes": (Workers(2), None),

@@ -88,6 +88,7 @@ def test_a_finer_model_and_longer_episodes_are_what_they_say():
     assert result[AS_TRAINED].stiffening is False and result[LONGER].horizon == 30.0
 
 
+@pytest.mark.slow
 def test_a_run_is_trained_once_and_judged_in_three_places(tmp_path, monkeypatch):
     monkeypatch.setattr(measure, "TEST_SEEDS", range(9000, 9002))
     case = LearningCase("recipe", "short", SHORT, 2)
@@ -103,6 +104,7 @@ def test_a_run_is_trained_once_and_judged_in_three_places(tmp_path, monkeypatch)
     assert trained((SHORT, tmp_path / "recipe" / "short" / "seed-0"))["steps"] == 16
 
 
+@pytest.mark.slow
 def test_the_published_page_is_that_of_the_published_rows():
     file = ROOT / "docs" / "evidence" / "learning.csv"
     rows = read_rows(file, LearningRow)

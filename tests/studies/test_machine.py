@@ -25,6 +25,7 @@ from studies.machine.strain import (
 )
 
 
+@pytest.mark.slow
 def test_half_of_the_runs_of_a_real_arm_predicts_the_others():
     """Goals: R2 of 0.90 in the median and 0.95 at 20 and 30 degrees, 1.80 to 1.97 Hz, damping ratio 0.09 to 0.16."""
     runs = moving(DATA)
@@ -51,6 +52,7 @@ def test_records_of_both_stages_say_what_went_in_and_came_out():
     assert np.abs(currents.inputs["current_1"]).max() < 0.94  # A, the limit of the drives
 
 
+@pytest.mark.slow
 def test_the_truth_of_a_made_up_arm_is_where_the_fit_says():
     found = [each for each in draws(3, 1) if each[2]]
     assert len(found) >= 4

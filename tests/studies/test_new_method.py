@@ -47,6 +47,7 @@ def test_a_new_method_takes_as_many_steps_and_tolerances_as_its_kind(kind, monke
     assert len(new) > 5 and set(new) <= set(old)
 
 
+@pytest.mark.slow
 def test_a_new_method_is_measured_by_the_study_of_stability(monkeypatch):
     add(monkeypatch, "ros2")
     assert NEW in {row.method for row in amplification_rows()}

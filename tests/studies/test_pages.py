@@ -102,6 +102,7 @@ def test_the_index_has_the_sentence_of_every_page():
     assert all(f"]({name}.md): " in published for name in SCREENS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", PAGES)
 def test_a_published_page_is_made_of_its_rows(name):
     kind, page = PAGES[name]

@@ -120,6 +120,7 @@ def test_our_arms_abreast_move_as_one_alone():
     assert np.allclose([next(tips) for _ in range(5)], alone.tip[1:], rtol=0.0, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_soromox_moves_nearly_as_we_do():
     pytest.importorskip("soromox")
     scene = short(ARM, 0.2)

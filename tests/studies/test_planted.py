@@ -34,6 +34,7 @@ def test_every_error_of_the_table_has_its_place_and_its_tests():
     assert all(change.part == name for name, every in PARTS.items() for change in every)
 
 
+@pytest.mark.slow
 def test_an_error_is_caught_or_survives_or_is_equivalent(checkout, tmp_path):
     copy = Copy(checkout, tmp_path / "copy")
     assert copy.failing(["test_double.py"]) == ""
@@ -50,6 +51,7 @@ def test_an_error_is_caught_or_survives_or_is_equivalent(checkout, tmp_path):
         copy.failing(["test_nothing.py"])
 
 
+@pytest.mark.slow
 def test_a_test_that_is_red_without_an_error_catches_none(checkout, tmp_path):
     (checkout / "test_double.py").write_text("def test_never():\n    assert False\n")
     copy = Copy(checkout, tmp_path / "copy")

@@ -55,6 +55,7 @@ def floors(folder):
     return read_rows(folder / precision.FLOORS_FILE, Floor)
 
 
+@pytest.mark.slow
 def test_rows_are_complete(rows, floors):
     assert len({(row.model, row.method, row.step, row.rtol) for row in rows}) == len(rows) > 20
     assert {row.model for row in rows} == {floor.model for floor in floors if floor.model}
@@ -65,6 +66,7 @@ def test_rows_are_complete(rows, floors):
         assert 0.0 < row.time_error < 0.1 and 0.0 < row.total_error < 0.1
 
 
+@pytest.mark.slow
 def test_finer_steps_have_smaller_errors_and_cost_more_evaluations(rows):
     ladders = defaultdict(list)
     for row in rows:
@@ -77,6 +79,7 @@ def test_finer_steps_have_smaller_errors_and_cost_more_evaluations(rows):
             assert fine.evaluations > coarse.evaluations
 
 
+@pytest.mark.slow
 def test_the_truth_is_better_than_the_rows_that_it_judges(rows, floors):
     known = {floor.model: floor.floor for floor in floors}
     assert all(row.time_error > known[row.model] > 0.0 for row in rows)

@@ -31,6 +31,7 @@ def results():
     return Results()
 
 
+@pytest.mark.slow
 def test_an_agent_in_an_environment_has_one_row(results):
     own = [row for row in read_rows(DOCS / BASELINE_FILE, Baseline) if row.baseline != LONG_NAME]
     assert all(results.standings.why(BASELINES[row.baseline], row.environment) for row in own)
@@ -87,6 +88,7 @@ def test_the_number_of_episodes_on_a_page_is_that_of_its_rows(results):
     assert "have 40 episodes, each random arm 20" in " ".join(text.split())
 
 
+@pytest.mark.slow
 def test_the_page_of_the_league_has_the_numbers_of_episodes_of_its_rows(results, tmp_path, monkeypatch):
     """Sweeps and other plants may have fewer episodes than scenarios, and single agents fewer than others."""
 

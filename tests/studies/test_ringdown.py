@@ -40,6 +40,7 @@ def test_arms_start_with_the_energy_that_their_kind_names(kind):
     assert bent == (kind in (RELEASE, UNDAMPED, BENT))
 
 
+@pytest.mark.slow
 def test_the_midpoint_rule_keeps_the_energy_that_ros2_loses():
     model, each = default_model(undamped=True), cases(UNDAMPED, 3)
     reference = outcome(model, each, REFERENCE, None)
@@ -64,6 +65,7 @@ def test_a_failed_arm_is_infinitely_far_and_counted():
     assert not np.isfinite(percentiles(np.array([np.inf]), np.array([np.inf]))["tip_99"])
 
 
+@pytest.mark.slow
 def test_rows_are_those_of_every_kind_method_and_step(monkeypatch):
     monkeypatch.setattr(measure, "fixed_step_methods", lambda: [DEFAULT[0], "ros2"])
     monkeypatch.setattr(measure, "PARTS", (3, 4))

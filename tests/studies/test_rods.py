@@ -51,6 +51,7 @@ def test_other_integrators_of_mujoco_refuse_rods_that_stretch(mujoco, mujoco_pee
         mujoco.MjModel.from_xml_string(to_mjcf(ARM, 0, integrator, 1e-5, partial(rods.rod, 0.5)))
 
 
+@pytest.mark.slow
 def test_a_clamped_rod_of_mujoco_vibrates_as_beam_theory_says(mujoco, mujoco_peer, rods):
     link = ARM.links[2]
     clamped = fm.Arm((link,), (fm.Joint(axis=(0.0, -1.0, 0.0), rotor_inertia=1e9),))
@@ -71,6 +72,7 @@ def test_a_clamped_rod_of_mujoco_vibrates_as_beam_theory_says(mujoco, mujoco_pee
     assert measured == pytest.approx(1.8751**2 * np.sqrt(bending) / link.length**2 / (2 * np.pi), rel=0.02)
 
 
+@pytest.mark.slow
 def test_a_short_run_of_rods_is_near_ours(rods):
     scene = replace(SCENE, duration=0.3)
     model = fm.build_model(ARM, elements=3, stiffening=True)

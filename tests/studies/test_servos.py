@@ -37,6 +37,7 @@ def test_a_rigid_motor_bears_the_limit_of_levin_and_may(late):
     assert found == pytest.approx(100.0 * 2.0 * np.sin(np.pi / (4 * late + 2)), rel=2e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:actions. a servo:UserWarning")
 def test_an_environment_comes_to_rest_below_a_limit_and_not_above_it():
     row = min((row for row in limits("FlexOne-v0", True) if 0.0 < row.factor < LARGEST), key=rounds_of)

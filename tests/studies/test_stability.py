@@ -84,6 +84,7 @@ def test_the_vibration_factor_is_exact_to_the_order_of_the_method(name):
         assert math.log2(errors[0] / errors[1]) == pytest.approx(order + 1, abs=0.3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("study", LIMIT_STUDIES)
 def test_predicted_limits_are_right_to_5_percent(study):
     rows = list(limit_rows(study, quick=True))
@@ -245,6 +246,7 @@ def test_clamped_modes_without_torsion_miss_centimetres_and_loaded_modes_do_not(
     assert np.linalg.norm(bare_tip - tip) > 0.02 and np.linalg.norm(tip_of_loaded - tip) < 0.002
 
 
+@pytest.mark.slow
 def test_a_tiny_rotor_on_a_stiff_spring_stops_an_explicit_method_and_ros2_is_right():
     model, step = arm_model(2, rotor_inertia=1e-6), 0.00025
     scene = replace(fm.catalog.paper_scene(), duration=0.2, output_step=0.02)
@@ -260,6 +262,7 @@ def test_a_tiny_rotor_on_a_stiff_spring_stops_an_explicit_method_and_ros2_is_rig
 # rows, charts and page
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["midpoint_corrected_2", "midpoint_corrected_3"])
 def test_measured_amplitudes_of_the_corrected_midpoint_rule_are_within_the_bounds_of_theory(method):
     """Rows of the modes of an arm; they would leave the bounds within 10 s if the vibrations decayed or grew."""
@@ -274,6 +277,7 @@ def test_measured_amplitudes_of_the_corrected_midpoint_rule_are_within_the_bound
     assert amplitude_bounds(rows, 0.02)[1] > max(row.value for row in select(kept, parameter=2.0)) > 1.05
 
 
+@pytest.mark.slow
 def test_maps_show_failures_and_survivors():
     rows = list(map_rows(SPRINGS, quick=True))
     assert {row.verdict for row in rows} >= {"ok", "inaccurate", "diverged"}

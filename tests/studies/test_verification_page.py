@@ -13,6 +13,8 @@ from studies.verification.page import page
 
 from oracles.files import REFERENCE, ROOT
 
+pytestmark = pytest.mark.slow
+
 ROW = VerificationRow("a number, m", "a book", 2.0, 2.001, 1e-3)
 # The reference scenes hold the printed area of link 1 and that of `one_link`, which no section can have.
 pytestmark = pytest.mark.filterwarnings("ignore:Link.second_moment_y:UserWarning")

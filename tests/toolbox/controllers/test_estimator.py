@@ -13,6 +13,8 @@ from flexman_gym.toolbox.controllers.observers.observer import MAX_LOST
 
 from oracles.observed_arms import Bench, drawn_parameters, pushes, small_plant
 
+pytestmark = pytest.mark.slow
+
 UNKNOWN = {"payload_mass": (0.0, 0.3), "joint_stiffness_factor": (0.7, 1.3), "link_stiffness_factor": (0.7, 1.3)}
 PLANAR = {"payload_mass": (0.0, 0.2), "joint_stiffness_factor": (0.7, 1.3), "link_stiffness_factor": (0.7, 1.3)}
 NOISE = 1e-3

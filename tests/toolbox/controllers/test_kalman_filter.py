@@ -259,6 +259,7 @@ def test_what_the_tip_may_be_pushed_by_is_reckoned_with():
     assert one.covariance == pytest.approx(other.covariance, rel=1e-6, abs=1e-15)
 
 
+@pytest.mark.slow
 def test_innovations_on_the_simulator_are_as_large_as_they_should_be():
     """Moving arms pushed by the forces of its process noise: normalised innovations have a mean square of 1.
 

@@ -181,6 +181,7 @@ def test_an_arm_among_many_gets_what_an_arm_alone_gets_to_the_bit(kind):
         assert (np.abs(actions) <= 1.0).all() and actions.shape == (3, 2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [LQR, TrackingLQR])
 def test_a_new_episode_of_one_arm_changes_nothing_for_the_others(kind):
     one, other = designed(kind), designed(kind)
@@ -212,6 +213,7 @@ def followed_gains(controller, start, goal):
     return torques[:, :1] - torques[:, 1:], slew.states[:, model.motor_columns[0]]
 
 
+@pytest.mark.slow
 def test_gains_on_the_way_lie_between_those_of_start_middle_and_goal():
     """By how far the motor has come, which is late at first and early at last: gains change with the posture."""
     one = fm.build_model(fm.catalog.one_link((0.0, -1.0, 0.0), 0.3, 5e3, gravity=(0.0, 0.0, -9.81)), 1, modes=2)

@@ -112,6 +112,7 @@ DELAYED = [f"{name}/{each}" for name in ("FlexRRR-v0", "FlexPlanar-v0", "FlexRRR
            for each in ("delay", "friction", "unknown", "unknown-lab")]  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [*NAMED_ENVIRONMENTS, *DELAYED])
 def test_the_pd_of_every_environment_has_a_gain_margin_of_two_and_a_phase_margin_of_thirty_degrees(name, monkeypatch):
     """At goals of its first episodes, with its delay; of random delays up to two periods no gains have it."""
@@ -161,6 +162,7 @@ def test_a_loop_with_a_stuck_motor_is_that_of_an_arm_whose_motor_has_no_end_of_i
         assert np.abs(own.inputs - held.inputs)[free].max() < 1e-6 * np.abs(held.inputs).max()
 
 
+@pytest.mark.slow
 def test_margins_are_those_of_the_worst_set_of_motors_that_stick():
     """Gains for which a loop is stable while all motors slide, and not while friction holds the first one."""
     model, angles = two_links(RUBBING), [0.0, 0.3]
@@ -177,6 +179,7 @@ def test_margins_are_those_of_the_worst_set_of_motors_that_stick():
         assert worst.spectral_radius(*np.split(gains, 2)) > 1.0
 
 
+@pytest.mark.slow
 def test_a_loop_that_is_stable_comes_to_rest_with_friction():
     """A few of the random loops of docs/evidence/servos.md, which has 200 of them."""
     rows = list(friction_rows(6))

@@ -46,6 +46,7 @@ def horizon_at(monkeypatch, model, posture, limits, blocks):
     return type(horizons)(*(each[0] for each in horizons))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("blocks", [(1,) * 9, (1, 1)])
 def test_without_limits_the_first_torque_is_that_of_the_lqr(blocks, monkeypatch):
     """Over any horizon, as the cost of its end is that of the LQR; for any torques that were planned before."""
@@ -65,6 +66,7 @@ def test_without_limits_the_first_torque_is_that_of_the_lqr(blocks, monkeypatch)
     assert first == pytest.approx(-gain @ start / limits, rel=1e-6, abs=1e-8)
 
 
+@pytest.mark.slow
 def test_near_its_goal_the_controller_is_the_lqr(monkeypatch):
     """Its prediction is that of the simulator, which is linear there."""
     monkeypatch.setattr(mpc, "MOVE_BLOCKS", (1,) * 24)
@@ -216,6 +218,7 @@ def test_changes_act_as_about_where_the_arm_will_be(monkeypatch):
     assert errors[0] < 1.0 / 3.0 and errors[0] < 0.5 * errors[1], errors
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["FlexOne-v0", "FlexPlanar-v0", "FlexRRR-v0"])
 def test_it_is_quicker_than_the_tracking_lqr_within_the_limits(name):
     environment = Configuration(name, {"horizon": 5.0})
@@ -226,6 +229,7 @@ def test_it_is_quicker_than_the_tracking_lqr_within_the_limits(name):
     assert 0.99 < np.abs(actions).max() <= 1.0
 
 
+@pytest.mark.slow
 def test_an_arm_among_many_gets_what_an_arm_alone_gets_to_the_bit():
     """In the vector environment and in the single one."""
     seeds = [9000, 9003, 9007]
@@ -240,6 +244,7 @@ def test_an_arm_among_many_gets_what_an_arm_alone_gets_to_the_bit():
     assert np.ptp(venv.episodes.view.action, axis=0).min() > 0.0
 
 
+@pytest.mark.slow
 def test_an_arm_that_does_not_play_gets_nothing_and_changes_nothing():
     model, limits, posture = posed()
     goals, starts = np.array([posture, -posture]), np.zeros((2, 2))

@@ -70,6 +70,7 @@ def test_slews_side_by_side_move_as_each_alone():
     assert all(np.array_equal(search.errors(one[None], 25)[0], each) for one, each in zip(knots, both, strict=True))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("start", "way", "seconds"), [(0.2, 1.0, 2.0), (0.5, -0.7, 1.5)])
 def test_a_rigid_link_is_as_quick_as_full_torque_forth_and_back(start, way, seconds):
     """From rest it speeds up all the time, then brakes, and only just does not leave the band on its other side.
@@ -89,6 +90,7 @@ def test_a_rigid_link_is_as_quick_as_full_torque_forth_and_back(start, way, seco
     assert ways[slew.arrival - 1 :].max() <= SETTLED_BAND * band * reach < ways[slew.arrival - 2]
 
 
+@pytest.mark.slow
 def test_a_rigid_link_that_may_not_be_as_quick_goes_on_at_its_largest_rate():
     """With the rate v it is within the band after (s + b) / v + v / a - 2 sqrt(b / a), see above."""
     model = fm.build_model(fm.catalog.one_joint(), flexible_links=False, flexible_joints=False)
@@ -147,6 +149,7 @@ def test_errors_in_the_inner_band_weigh_nothing_and_others_what_is_beyond_it():
     assert search._residuals(errors, 4)[0].tolist() == [*ways[0], *ways[1], *ways[2], *rates]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["FlexOne-v0", "FlexPlanar-v0"])
 def test_an_arm_is_quicker_than_with_the_tracking_lqr(name):
     """Replayed in the environment, where it settles, also under its weight; and within the limits."""
@@ -282,6 +285,7 @@ def test_a_file_that_is_no_table_is_refused_in_one_line(tmp_path, table):
         SlewTable.load(tmp_path / "none.npz")
 
 
+@pytest.mark.slow
 def test_the_command_makes_a_table_and_goes_on_with_it(tmp_path, capsys):
     path = tmp_path / "one.npz"
     assert main(["optimise", "slews", "FlexOne-v0", "--seeds", "5003", "1", "--out", str(path)]) == 0

@@ -140,6 +140,7 @@ def test_the_compensated_weight_is_that_of_a_pd_with_its_model_and_of_an_lqr():
     assert compensated_model(PD(**gains)) is compensated_model(free) is compensated_model(Recorder()) is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("base", "environment", "periods"), [
     ("lqr-tracking", "FlexPlanar-v0", 5), ("pd-shaped", "FlexPlanar-v0", 60), ("pd-torque", "FlexRRR-v0", 5),
     ("optimised", "FlexRRR-v0", 5), ("hinf", "FlexOne-v0", 1),
@@ -157,6 +158,7 @@ def test_skipped_periods_advance_a_reference_in_time(base, environment, periods)
     assert not np.array_equal(actions[0], actions[-1])
 
 
+@pytest.mark.slow
 def test_an_environment_with_a_range_checked_base_has_the_same_motion():
     configuration = Configuration("FlexPlanar-v0")
     gains = configuration.pd_gains

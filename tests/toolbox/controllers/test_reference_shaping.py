@@ -40,6 +40,7 @@ def played(env, act, periods, seed=3):
     return np.array(asked), np.array(seen)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("base", BASES)
 def test_an_action_of_nothing_is_the_controller_to_the_bit(base):
     plain = FlexManVectorEnv(3, **ONE, base=base)
@@ -68,6 +69,7 @@ def network(size, actions=3):
     return Network("ppo", None, layers, {"mean": np.zeros(size), "var": np.ones(size)})
 
 
+@pytest.mark.slow
 def test_a_policy_sees_and_shapes_as_the_agent_in_its_environment():
     """The agent in its environment; the same agent as the base of a plain one, made for the arm there."""
     beside = FlexManVectorEnv(3, **SHAPED, base="adaptive-lqr")

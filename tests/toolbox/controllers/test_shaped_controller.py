@@ -163,6 +163,7 @@ def test_arms_side_by_side_are_shaped_as_each_alone():
         assert np.array_equal(many.actions[row], one.actions[0]) and np.array_equal(many.tips[row], one.tips[0])
 
 
+@pytest.mark.slow
 def test_a_tracking_lqr_follows_a_shaped_motion():
     settled = evaluate(
         InputShapedController(gym_lqr(), PLANAR, "zv", duration=0.6), Configuration("FlexPlanar-v0"), [0, 1, 2]

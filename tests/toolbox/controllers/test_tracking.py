@@ -151,6 +151,7 @@ SETTINGS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("which", SETTINGS)
 def test_one_arm_gets_the_same_bits_alone_and_among_others(which):
     settings = {**SMALL, "horizon": 0.24, **SETTINGS[which]}
@@ -161,6 +162,7 @@ def test_one_arm_gets_the_same_bits_alone_and_among_others(which):
     assert sum(same_side_by_side(arms, singles, still, 2)) >= 3, "new episodes were seen"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("which", SETTINGS)
 def test_an_environment_made_alike_goes_on_from_a_state(which):
     """To the last bit, with trials, filters and references on their way."""
@@ -178,6 +180,7 @@ def test_an_environment_made_alike_goes_on_from_a_state(which):
         assert np.array_equal(env.step(zero)[0], other.step(zero)[0]), period
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("which", ["adaptive", "nothing unknown", "privileged"])
 def test_it_brings_an_arm_to_its_goal(which):
     settings = {**SMALL, "name": "FlexPlanar-v0", "horizon": 4.0, **SETTINGS[which]}
@@ -216,6 +219,7 @@ def acted(base, noise, delay=0):
     return result.actions, result.errors
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("late", [0, 1])
 def test_it_tends_to_the_regulator_that_is_told_all_as_noise_goes_to_zero(late):
     """In every torque of slews, in proportion to the noise; with none but for rounding."""
@@ -225,6 +229,7 @@ def test_it_tends_to_the_regulator_that_is_told_all_as_noise_goes_to_zero(late):
     assert off[0] / off[1] == pytest.approx(10.0, rel=0.3) and off[1] / off[2] == pytest.approx(10.0, rel=0.05)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("condition", ["", "/delay"])
 def test_it_settles_arms_by_the_sensors_of_a_laboratory(condition):
     described = Configuration.find(f"FlexPlanar-v0{condition}")
@@ -246,6 +251,7 @@ def test_a_delay_that_is_not_told_is_missed():
     assert off[1] < 1e-6 < 1e-2 < off[0]
 
 
+@pytest.mark.slow
 def test_a_constant_torque_is_taken_away():
     """Which nobody tells of: at the goal the arm is where it should be, and without that state it is not."""
     off = []
@@ -275,6 +281,7 @@ def test_it_starts_where_its_encoders_say_and_is_told_no_more():
     assert set(lqg.sensors) == {"motor_encoders", "joint_encoders", "strain"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("options", [{}, {"disturbed": True}, {"fixed": True}])
 def test_an_arm_among_many_is_moved_as_an_arm_alone_to_the_bit(options):
     base = {"kind": "lqg", **options}
@@ -291,6 +298,7 @@ def test_a_name_with_arguments_makes_it():
     assert said.startswith("sensors: ('tip',) is not allowed; give motor_encoders, and any of") and "\n" not in said
 
 
+@pytest.mark.slow
 def test_a_state_holds_what_it_remembers():
     """In the middle of a slew, with torques on their way."""
     noise = {"delay": (1, 1), "sensor_noise": (1e-3, 1e-3)}

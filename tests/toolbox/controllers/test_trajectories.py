@@ -156,6 +156,7 @@ def rigid():
     return fm.build_model(fm.Arm([link], [fm.Joint((0.0, 0.0, 1.0), 0.3)]), 1, flexible_links=False)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("law", "peak"), [("minimum-jerk", 5.76), ("trapezoid", 4.5), ("double-s", 6.125)])
 @settings(QUICK, max_examples=20)
 @given(way=st.floats(0.1, 3.0), limit=st.floats(0.5, 50.0))

@@ -36,6 +36,7 @@ def test_gains_are_drawn_up_to_half_of_what_a_late_motor_bears(monkeypatch):
     assert beyond.unstable(model, setup.control_period, 3) != ""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("delay", [0, 1])
 def test_all_gains_that_are_tried_have_margins_with_the_largest_delay(delay, monkeypatch):
     environment = Configuration("FlexPlanar-v0", {"randomisation": {"delay": [0, delay]}})

@@ -132,10 +132,12 @@ def test_torques_are_those_of_python(exported):
     assert difference(*exported, 300) <= 1e-12
 
 
+@pytest.mark.slow
 def test_torques_of_many_periods_are_those_of_python(exported):
     assert difference(*exported, 10_000) <= 1e-12
 
 
+@pytest.mark.slow
 def test_the_test_program_passes_without_warnings_and_undefined_behaviour(exported):
     _, folder = exported
     sources = sorted(folder.glob("*.c"))
@@ -226,6 +228,7 @@ def bad_values(most):
 BEFORE, AFTER = 5, 6  # good control periods before and after a bad one
 
 
+@pytest.mark.slow
 def test_a_bad_value_of_any_reading_for_a_period_is_refused_and_leaves_later_torques_as_documented(exported, runner):
     """Later torques are those of Python; without tables in time they are those of a run without the bad period."""
     session, _ = exported
@@ -271,6 +274,7 @@ def test_readings_at_the_end_of_their_ranges_are_good(exported, runner):
     assert not status.any() and (np.abs(torques) <= 1.0).all()
 
 
+@pytest.mark.slow
 def test_the_rows_of_a_path_go_on_in_refused_periods(tmp_path):
     """Readings of the reference itself leave the feed-forward torques: those of the same time after a bad period."""
     session = begin_agent("lqr-tracking", "FlexPlanar-Track-v0")
@@ -284,6 +288,7 @@ def test_the_rows_of_a_path_go_on_in_refused_periods(tmp_path):
         assert compiled.status == (NOT_FINITE if bad else GOOD)
 
 
+@pytest.mark.slow
 def test_holding_torques_of_a_refused_period_are_those_of_the_rigid_arm_at_the_last_good_posture(tmp_path):
     """They last as long as a free fall by 5 % of the reach."""
     for name, environment in (("pd", PLANAR), ("lqr", PLANAR), ("lqg", PLANAR), ("pd", "FlexRRR-Gravity-v0")):
@@ -397,6 +402,7 @@ def test_the_test_program_prints_durations_of_steps_by_both_clocks(tmp_path):
     assert clocks == ["wall", "CPU"]
 
 
+@pytest.mark.slow
 def test_a_linear_filter_and_regulator_are_those_of_the_nonlinear_ones_to_first_order(tmp_path):
     """The difference from the extended filter with a fixed gain falls with the square of the deviation."""
     session = begin_agent("lqg", PLANAR)
@@ -435,6 +441,7 @@ def test_agents_that_simulate_are_refused_in_one_line(agent, environment, line, 
     assert line in said and not (tmp_path / "c").exists()
 
 
+@pytest.mark.slow
 def test_a_mat_file_has_linear_model_names_and_gains(tmp_path, capsys):
     """The sampled model is that of `discrete`; gains are those of the agent; an environment has no gains."""
     path, posture = tmp_path / "arm.mat", [0.3, -0.5]

@@ -20,6 +20,8 @@ from flexman_gym.toolbox.diagnosis.diagnosis import diagnose, diagnose_log
 
 from oracles.machines import FakeMachine
 
+pytestmark = pytest.mark.slow
+
 ENVIRONMENT = Configuration.find("FlexOne-v0").replace(
     horizon=1.0
 )  # its torque limit, 0.5 N m, scales torques without rounding

@@ -16,6 +16,8 @@ from flexman_gym.toolbox.deployment.machine.rest import RestSpeeds
 from flexman_gym.toolbox.deployment.machine.server import Disturbances
 from flexman_gym.toolbox.deployment.machine.virtual import VirtualMachine
 
+pytestmark = pytest.mark.slow
+
 NOTICE = 5  # control periods
 FAULT_PERIOD = 20  # control period of the machine whose readings are the first with the fault
 ONE, PLANAR = Configuration.find("FlexOne-v0").replace(horizon=2.0), Configuration.find("FlexPlanar-v0")

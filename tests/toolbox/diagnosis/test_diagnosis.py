@@ -141,6 +141,7 @@ def planted():
     ]  # fmt: skip
 
 
+@pytest.mark.slow
 def test_a_failed_episode_is_one():
     """Without torques an arm falls to its limits; what its error was at that time has no other cause."""
     found = diagnose("zero", "FlexPlanar-v0", range(9000, 9004))
@@ -150,6 +151,7 @@ def test_a_failed_episode_is_one():
         assert (each.cause == FAILED) == bool(each.failure) and sum(each.shares.values()) == pytest.approx(1.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "acts"), [("FlexPlanar-v0", "lqg"), ("FlexOne-v0", "pd"), ("FlexRRR-v0", "pd")])
 def test_noise_of_one_percent_is_no_offset(name, acts):
     """An arm that starts at its goal stays there without noise, so that noise is the whole cause."""
@@ -158,6 +160,7 @@ def test_noise_of_one_percent_is_no_offset(name, acts):
         assert found.cause == NOISE and found.shares[NOISE] > 0.9
 
 
+@pytest.mark.slow
 def test_an_offset_stays_one_beside_noise():
     changes = {
         "task": STAY,
@@ -179,6 +182,7 @@ def test_a_slow_sway_is_no_offset():
     assert found.cause in (RINGING, CYCLE) and found.shares[OFFSET] < 0.1
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:PD.damping:UserWarning")
 def test_of_fifty_planted_causes_at_least_45_are_named():
     right = total = 0

@@ -39,6 +39,7 @@ def converged(name, elements=6):
     return (4.0 * shorter - longer) / 3.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SCENES)
 @pytest.mark.parametrize("tolerance", [2e-2, 2e-3])
 def test_a_choice_with_its_mesh_meets_the_tolerance_and_knows_its_error(name, tolerance):
@@ -55,12 +56,14 @@ def test_a_choice_with_its_mesh_meets_the_tolerance_and_knows_its_error(name, to
     assert fm.choose_model(scene, tolerance) is choice
 
 
+@pytest.mark.slow
 def test_a_tighter_tolerance_takes_more_elements():
     loose, tight = (fm.choose_model(SCENES["paper ff"](), tolerance).model.choice for tolerance in (2e-2, 5e-4))
     assert sum(loose.elements) < sum(tight.elements)
     assert all(few <= many for few, many in zip(loose.elements, tight.elements, strict=True))
 
 
+@pytest.mark.slow
 def test_the_error_of_the_reference_mesh_is_estimated_from_a_coarser_one():
     """Beside seven elements a link; the converged steps are the same for both."""
     search = MeshSearch(SCENES["paper ff"](), 2e-3)
@@ -72,6 +75,7 @@ def test_the_error_of_the_reference_mesh_is_estimated_from_a_coarser_one():
     )
 
 
+@pytest.mark.slow
 def test_a_scene_with_a_mesh_keeps_it():
     scene = replace(SCENES["paper ff"](), model=fm.catalog.paper_scene("ff").model)
     choice = fm.choose_model(scene, 2e-2)
@@ -85,6 +89,7 @@ def test_rigid_links_need_no_mesh():
     assert choice.model.n_dof == 3 and choice.errors["mesh"] == pytest.approx(0.0, abs=1e-12)
 
 
+@pytest.mark.slow
 def test_an_arm_of_many_links_costs_no_more_runs():
     assert fm.choose_model(random_scene(1, 4, None, 0.4), 2e-3).runs <= MAX_RUNS
 

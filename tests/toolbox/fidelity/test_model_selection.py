@@ -53,6 +53,7 @@ def true_error(scene, choice, tips):
     return np.linalg.norm(run.tip - tips[::every], axis=1).max()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SCENES)
 def test_a_choice_meets_its_tolerance_and_knows_its_error(name):
     scene = SCENES[name]()
@@ -68,6 +69,7 @@ def test_a_choice_meets_its_tolerance_and_knows_its_error(name):
         assert fm.choose_model(scene, tolerance) is choice
 
 
+@pytest.mark.slow
 def test_a_loose_tolerance_drops_more_and_the_report_says_how():
     scene = SCENES["paper ff"]()
     loose, tight = fm.choose_model(scene, 0.1), fm.choose_model(scene, 2e-3)
@@ -127,6 +129,7 @@ def _count(candidate, _):
     return 1.0 + sum(map(len, candidate.modes))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "tolerance"), [("paper fr", 1e-2), ("paper fr", 3e-3), ("gravity and payload", 1e-2)])
 def test_single_modes_are_omitted_that_a_selection_in_the_order_of_displacements_retains(name, tolerance, monkeypatch):
     """The error remains estimated, and the report has the effect of each retained mode."""
@@ -154,6 +157,7 @@ def test_single_modes_are_omitted_that_a_selection_in_the_order_of_displacements
     assert np.linalg.norm(run.tip - tips, axis=1).max() == pytest.approx(measured[link, mode], rel=0.3)
 
 
+@pytest.mark.slow
 def test_single_modes_are_retained_where_the_smaller_model_costs_more(monkeypatch):
     scene = SCENES["gravity and payload"]()
     with monkeypatch.context() as patch:

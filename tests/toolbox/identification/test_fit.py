@@ -64,6 +64,7 @@ def test_true_parameters_come_back_within_their_deviations():
         assert abs(found.values[name] - value) < 3.0 * found.deviations[name]
 
 
+@pytest.mark.slow
 def test_hub_motion_in_deflection_out_with_an_unknown_gain():
     hub = 0.3 * np.sin(2.0 * np.pi * 0.9 * TIMES) ** 3
     name = "link_deflection_1_y"
@@ -83,6 +84,7 @@ def test_hub_motion_in_deflection_out_with_an_unknown_gain():
     assert any("low-pass of about" in line and name in line for line in found.warnings)
 
 
+@pytest.mark.slow
 def test_what_a_record_cannot_tell_is_named():
     """A held motor tells nothing of its friction, and a spring without a rotor's motion nothing of the rotor."""
     hub = 0.3 * np.sin(2.0 * np.pi * 0.9 * TIMES) ** 3
@@ -93,6 +95,7 @@ def test_what_a_record_cannot_tell_is_named():
     assert found.values["viscous_friction"].shape == (1,)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("change", "words"),
     [
@@ -173,6 +176,7 @@ def test_the_accelerometer_of_a_record_is_that_of_the_tip():
     assert np.abs(shown[:, 1]).max() > 0.5 * np.abs(bent).max()
 
 
+@pytest.mark.slow
 def test_the_arm_and_the_report_are_files(tmp_path):
     found = fm.fit(fm.catalog.one_joint(), [*TRUE], records=[pushed()], **CHOICE)
     found.report(tmp_path)

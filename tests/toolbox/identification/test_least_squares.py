@@ -264,6 +264,7 @@ def test_given_deviations_are_those_of_frequencies():
     assert variance[0, 0] == pytest.approx(0.25, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_deviations_cover_what_fits_of_coloured_records_miss():
     """Of 25 fits the squares of errors in deviations have mean 1; 99.9 % of such means are from 0.3 to 2.1."""
     clean = turned((BENT,), samples=401, gains=(BENT,))

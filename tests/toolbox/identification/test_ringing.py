@@ -63,6 +63,7 @@ def test_free_motors_ring_faster():
     assert found.values["joint_stiffness[0]"] == pytest.approx(STIFFNESS, rel=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("locked", [True, False])
 def test_slopes_are_those_of_the_numbers_themselves(locked):
     arm = fm.catalog.vertical_2r(gravity=(0.0, 0.0, 0.0))

@@ -12,6 +12,8 @@ from flexman_gym.evaluation.rollouts import rollout
 from flexman_gym.toolbox.interchange import dataset
 from flexman_gym.toolbox.interchange.dataset import record_dataset
 
+pytestmark = pytest.mark.slow
+
 AGENTS = ("pd", "random", "ppo-flexrrr", "zero")
 SEEDS = range(40, 43)
 NOISY = Configuration("FlexRRR-v0", {

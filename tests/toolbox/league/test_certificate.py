@@ -40,6 +40,7 @@ def folder(tmp_path, monkeypatch):
     return tmp_path / "still"
 
 
+@pytest.mark.slow
 def test_scenarios_are_run_as_their_names_say_and_kept_beside_the_policy(folder, tmp_path):
     assert policy_files.describe_policy("still").endswith("Made up. It has no certificate.")
     said = []
@@ -78,6 +79,7 @@ def test_scenarios_are_run_as_their_names_say_and_kept_beside_the_policy(folder,
     assert f"; delay=3: {found['/delay=3+given']['fails'].split(',')[0]}" in policy_files.describe_policy("still")
 
 
+@pytest.mark.slow
 def test_rows_of_a_certificate_are_kept_and_a_refused_cell_says_why(folder, tmp_path, monkeypatch):
     monkeypatch.setattr(certificate, "_certificate_scenarios", lambda name: [name])
     first = certify(str(folder), SEEDS, 2, tmp_path / "rows", log=list).read_bytes()
@@ -279,6 +281,7 @@ def test_certificates_and_the_league_have_the_same_numbers():
     assert compared >= 2 * len(POLICIES) - 1, "the environment of each, and MuJoCo"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", range(10))
 def test_a_cell_of_a_certificate_is_the_episode_of_the_policy_in_its_own_changed_environment(number):
     """Ten cells by seed; the expected environment is that in the file of the policy, changed without a name.

@@ -56,6 +56,7 @@ def league_of(scenario, folder, agents=AGENTS, jobs=1, seeds=SEEDS):
     return said, (folder / ROWS).read_bytes()
 
 
+@pytest.mark.slow
 def test_rows_hold_the_figures_of_a_rollout_to_the_bit(scenario, tmp_path):
     league_of(scenario, tmp_path, ["pd", "privileged-lqr"])
     with (tmp_path / ROWS).open(newline="") as file:
@@ -81,6 +82,7 @@ def test_rows_of_an_environment_with_limits_hold_its_violations(tmp_path):
         assert values == metric.values(records).tolist() and max(values) > 0.0, metric.name
 
 
+@pytest.mark.slow
 def test_rows_are_the_same_in_repeats_and_over_two_processes(scenario, tmp_path, small_blocks):
     said, rows = league_of(scenario, tmp_path / "a")
     assert len(said) == 4 * 3, "cells of two, two and one episode"
@@ -89,6 +91,7 @@ def test_rows_are_the_same_in_repeats_and_over_two_processes(scenario, tmp_path,
     assert league_of(scenario, tmp_path / "a") == ([], rows), "nothing is left"
 
 
+@pytest.mark.slow
 def test_a_killed_league_goes_on(scenario, tmp_path, small_blocks):
     def kill(said):
         if said.startswith("5 of"):
@@ -152,6 +155,7 @@ def test_other_code_runs_again(scenario, tmp_path, monkeypatch):
     assert len(league_of(scenario, tmp_path, ["zero"])[0]) == 1
 
 
+@pytest.mark.slow
 def test_the_hash_of_the_code_is_that_of_what_runs(tmp_path, tmp_path_factory, monkeypatch):
     for name in ("kernels/a.py", "envs/conditions/b.yaml", "evaluation/rollout.py", "league/page.py"):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
@@ -383,6 +387,7 @@ def test_times_of_slews_belong_to_the_environment_of_their_table():
     assert all(optimised_settling_times(find_scenario(each).environment) == {} for each in USUAL_SCENARIOS[1:])
 
 
+@pytest.mark.slow
 def test_the_multiple_is_that_of_the_optimised_slew():
     """Whose own is 1."""
     at = VALUES.index(TIME_RATIO)

@@ -31,6 +31,7 @@ def test_other_plants_move_the_tip_about_alike(plant):
     assert np.allclose(theirs.rewards, ours.rewards, rtol=0.0, atol=0.03)
 
 
+@pytest.mark.slow
 def test_each_arm_is_its_own_there():
     """Whose stiffness is another one moves otherwise, as far as it does on the usual plant."""
     soft = Configuration("FlexOne-v0", {"horizon": 0.6, "randomisation": {"link_stiffness_factor": [0.85, 0.85]}})

@@ -158,6 +158,7 @@ def test_an_environment_with_limits_shows_the_largest_excess_of_each_agent(tmp_p
     assert known.settling_text("pd", NOMINAL) == "100 %, 3.00 s"
 
 
+@pytest.mark.slow
 def test_each_is_compared_with_the_next():
     lines = league_details(standing(REWARDS | {"lqg": 280.0}), "overall")[2:7]
     assert [line.split("|")[1].strip(" `") for line in lines] == ["privileged-lqr", "lqg", "lqr", "pd", "zero"]
@@ -188,6 +189,7 @@ def test_every_agent_has_a_kind_of_information():
     assert kinds["shaping-flexrrr"] == kinds["optimised"] == "true state and parameters"
 
 
+@pytest.mark.slow
 def test_the_charts_are_there(tmp_path):
     pytest.importorskip("matplotlib")
     known = book(scenarios=(NOMINAL, "FlexRRR-Track-v0", "FlexRRR-v0/delay=0", "FlexRRR-v0/delay=1"))
@@ -257,6 +259,7 @@ def test_sweeps_go_from_the_smallest_value():
     )
 
 
+@pytest.mark.slow
 def test_other_plants_stand_beside_the_same_episodes_and_count_nowhere(tmp_path):
     names = [f"{NOMINAL}@{plant}" for plant in ("finer", "method")]
     one, two = book(settled={("lqr", NOMINAL): np.inf}, scenarios=[NOMINAL]), book(scenarios=names, count=4)

@@ -39,6 +39,7 @@ def test_every_dimension_is_differentiated():
     assert {name.partition("[")[0] for name in NAMES} == set(DIMENSIONS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("choice", [FULL, MODAL | {"stiffening": True}])
 def test_without_reduction_they_are_those_of_complete_simulations(choice):
     """With all coordinates, whether of nodes or of modes, it does not matter that the modes are held."""
@@ -53,6 +54,7 @@ def test_without_reduction_they_are_those_of_complete_simulations(choice):
         check(found, column, expected)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("payload, rotary", [(0.1, True), (0.0, False)])
 def test_with_few_modes_they_are_those_of_models_with_the_same_modes(payload, rotary):
     """Without payload and rotary inertia modes are orthogonal, but not those of a link with another length."""

@@ -51,6 +51,7 @@ CASES = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_derivatives_are_those_of_extrapolated_differences(name, unrounded):
     world, agent, parameters = CASES[name]

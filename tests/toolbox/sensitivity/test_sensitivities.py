@@ -26,6 +26,7 @@ def test_every_parameter_is_differentiated():
     assert {name.partition("[")[0] for name in EVERY} == {*INPUTS}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method, step", [*((method, 0.005) for method in METHODS), *SEQUENTIAL])
 def test_derivatives_are_those_of_extrapolated_differences(method, step):
     changed, names = replace(CHANGED, method=method, step=step), list(EVERY)[:: 1 if step == 0.005 else 7]

@@ -19,18 +19,21 @@ QUICK = settings(deadline=None, derandomize=True, max_examples=25)
 RATIOS = st.floats(0.05, 20.0)
 
 
+@pytest.mark.slow
 @QUICK
 @given(RATIOS)
 def test_a_mass_at_the_tip(ratio):
     assert cantilever_frequencies(4, ratio) == pytest.approx(ritz.beam_eigenvalues(4, ratio), rel=1e-8)
 
 
+@pytest.mark.slow
 @QUICK
 @given(RATIOS)
 def test_a_free_hub(ratio):
     assert hub_beam_frequencies(3, ratio) == pytest.approx(ritz.beam_eigenvalues(3, hub_inertia_ratio=ratio), rel=1e-8)
 
 
+@pytest.mark.slow
 @QUICK
 @given(RATIOS, RATIOS | st.none(), st.floats(0.0, 5.0))
 def test_a_spring_with_a_rotor_or_without(stiffness, rotor, tip):
@@ -38,6 +41,7 @@ def test_a_spring_with_a_rotor_or_without(stiffness, rotor, tip):
     assert flexible_joint_frequencies(3, stiffness, rotor, tip) == pytest.approx(expected, rel=1e-7)
 
 
+@pytest.mark.slow
 @QUICK
 @given(st.floats(0.2, 0.8), st.floats(0.2, 3.0), st.floats(0.2, 3.0))
 def test_a_step(place, rigidity, mass):
@@ -45,6 +49,7 @@ def test_a_step(place, rigidity, mass):
     assert stepped_cantilever_frequencies(3, place, rigidity, mass) == pytest.approx(expected, rel=1e-7)
 
 
+@pytest.mark.slow
 @QUICK
 @given(st.floats(1e-5, 2e-3))
 def test_sections_that_resist_rotation(gyration):

@@ -15,6 +15,8 @@ from flexman_gym.toolbox.verification.closed_forms import (
 )
 from flexman_gym.toolbox.verification.table import COLUMNS, VerificationRow, VerificationTable
 
+pytestmark = pytest.mark.slow
+
 ROW = VerificationRow("a number, m", "a book", 2.0, 2.001, 1e-3)
 
 

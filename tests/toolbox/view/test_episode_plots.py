@@ -19,6 +19,7 @@ def record(error, action):
     return EpisodeRecord(np.zeros((51, 3)), errors, actions, np.zeros(50), "", 0.02, 0.005)
 
 
+@pytest.mark.slow
 def test_a_picture_shows_errors_and_actions_of_every_policy(tmp_path):
     def picture(**records):
         draw_episodes(records, tmp_path / "folder" / "a.png")

@@ -16,6 +16,7 @@ def cases():
     return [fm.simulate(scene, method="ros2", step=1e-3) for scene in scenes]
 
 
+@pytest.mark.slow
 def test_every_curve_is_the_flexible_arm_less_the_rigid_one(cases, drawn, tmp_path):
     """Figures 6 to 8 are of the tip along x, y and z, 9 to 11 of the three joints; the page of all repeats them."""
     rigid, *flexible = cases
@@ -33,6 +34,7 @@ def test_every_curve_is_the_flexible_arm_less_the_rigid_one(cases, drawn, tmp_pa
         assert pair[0].get_ylabel() == f"difference to the rigid arm ({'m' if number < 9 else 'rad'})"
 
 
+@pytest.mark.slow
 def test_a_case_that_ended_early_is_drawn_to_its_end_and_its_label_says_when(cases, drawn, tmp_path):
     rigid, links, both = cases
     parts = {name: value[:3] for name, value in vars(both).items() if isinstance(value, np.ndarray)}

@@ -335,6 +335,7 @@ def test_a_grid_has_every_frame_in_its_place():
             grid(wrong)
 
 
+@pytest.mark.slow
 def test_frames_need_no_matplotlib():
     script = "import sys; sys.modules['matplotlib'] = sys.modules['PIL'] = None\n" \
              "import flexman_gym as fm; m = fm.build_model(fm.catalog.one_link())\n" \

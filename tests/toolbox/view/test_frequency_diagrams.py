@@ -106,6 +106,7 @@ def marked_margins(figure):
     return 1.0 / sizes, gain_places, abs(180.0 - abs((angles + 180.0) % 360.0 - 180.0)), phase_places
 
 
+@pytest.mark.slow
 def test_the_margins_of_the_diagram_are_at_least_those_of_the_pd_that_was_tuned(drawn, tmp_path):
     """Those take the least of one motor and of all of them."""
     setup = Configuration.from_keywords({"name": "FlexRRR-v0"})
@@ -120,6 +121,7 @@ def test_the_margins_of_the_diagram_are_at_least_those_of_the_pd_that_was_tuned(
     assert gains.min() > 0.99 * least.gain and phases.min() > least.phase - 0.5
 
 
+@pytest.mark.slow
 def test_crossings_of_an_integrator_with_two_lags_are_its_closed_form(drawn, tmp_path):
     """L = k / (s (s + 1)^2): the phase is -180 degrees at 1 rad/s, where the gain is k / 2."""
     places = np.geomspace(0.001, 10.0, 4000)

@@ -106,6 +106,7 @@ def test_an_agent_that_exits_ends_the_session_which_says_so(session):
         session.command({"again": 0})
 
 
+@pytest.mark.slow
 def test_the_command_of_an_ended_session_fails(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("flexman_gym.commands.load_agent", lambda *_: find_agent(Failing()))
@@ -140,6 +141,7 @@ def test_one_agent_twice_keeps_its_name_and_both_files(tmp_path, monkeypatch):
         assert session._setup.agents == ("pd", "pd") and len({*session.command({"save": 0})["paths"]}) == 2
 
 
+@pytest.mark.slow
 def test_evaluated_agents_of_one_name_keep_all_files(tmp_path, monkeypatch, capsys):
     """As the policies of two runs whose folders have the same name."""
     load = "flexman_gym.commands.evaluate.load_agent"

@@ -104,6 +104,7 @@ def test_a_graphics_card_draws_smooth_edges_and_shadows(browser, human):
     assert browser.run(look) == [True, True, False, False] and browser.said() == []
 
 
+@pytest.mark.slow
 def test_a_browser_follows_the_arm_through_episodes(browser, human):
     browser.open(page_of(human).url)
     for seed, steps in ((5000, 5), (5001, 7)):  # the numbers tell the episodes apart

@@ -145,6 +145,7 @@ def test_dropped_connections_print_nothing(server, capfd):
     assert capfd.readouterr().err == ""
 
 
+@pytest.mark.slow
 def test_a_connection_that_sends_no_whole_request_is_closed(server, monkeypatch):
     """Neither silence, nor a header that grows byte by byte, nor a body that does not come, holds a thread for long."""
     monkeypatch.setattr(live_server, "REQUEST_TIME", 0.2)

@@ -73,6 +73,7 @@ def test_print_of_a_configuration_has_its_settings(name):
     assert float(period.split()[1]) == configuration.control_period
 
 
+@pytest.mark.slow
 def test_print_of_a_choice_fits():
     choice = fm.choose_model(fm.catalog.paper_scene("rr"), tolerance=0.1)
     assert fits(str(choice)) and choice.method in str(choice)
@@ -83,12 +84,14 @@ def picture(png):
     return pytest.importorskip("matplotlib.image").imread(io.BytesIO(png), format="png")[..., :3]
 
 
+@pytest.mark.slow
 def test_a_notebook_shows_an_arm(scene):
     pixels = picture(scene.arm._repr_png_())
     model = fm.build_model(scene.arm, elements=1)
     assert (pixels == np.float32(fm.draw.arm_frame(model, np.zeros(2 * model.n_dof)) / 255)).all()
 
 
+@pytest.mark.slow
 def test_a_notebook_shows_a_trajectory(trajectory, monkeypatch):
     pixels = picture(trajectory._repr_png_())
     assert pixels.shape[0] > 300 and len(np.unique(pixels.reshape(-1, 3), axis=0)) > 10
@@ -96,6 +99,7 @@ def test_a_notebook_shows_a_trajectory(trajectory, monkeypatch):
     assert trajectory._repr_png_() is None  # a notebook then shows the text
 
 
+@pytest.mark.slow
 def test_a_notebook_shows_an_episode_of_an_agent_and_of_a_scene(trajectory):
     of_agent = fm.rollout("zero", "FlexOne-v0", [9000]).episode(0)
     for episode in (of_agent, fm.Episode.from_trajectory(trajectory)):
@@ -104,6 +108,7 @@ def test_a_notebook_shows_an_episode_of_an_agent_and_of_a_scene(trajectory):
     assert not (frames[0] == frames[2]).all()  # the scene moves
 
 
+@pytest.mark.slow
 def test_importing_the_package_imports_no_plotting_library():
     code = "import sys, flexman_gym; raise SystemExit('matplotlib' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code]).returncode == 0

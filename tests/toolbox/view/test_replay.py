@@ -266,6 +266,7 @@ def test_runs_of_one_name_are_numbered_and_a_scene_needs_no_task():
             replay_page(wrong)
 
 
+@pytest.mark.slow
 def test_the_command_writes_a_page_and_says_what_is_wrong(tmp_path):
     command = [sys.executable, "-m", "flexman_gym", "replay"]
     paths = [episode(name).save(tmp_path / f"{name}.npz") for name in ("pd", "lqr")]
@@ -381,6 +382,7 @@ def test_a_legend_explains_ghost_and_colours(browser, tmp_path):
     browser.size(1280, 720)
 
 
+@pytest.mark.slow
 def test_charts_and_scene_follow_the_colour_scheme(browser, tmp_path):
     """They look as if the page had been opened in this scheme, though the charts are drawn all the time."""
     (tmp_path / "page.html").write_text(replay_page([episode()]), encoding="utf-8")
@@ -404,6 +406,7 @@ def test_charts_and_scene_follow_the_colour_scheme(browser, tmp_path):
         assert browser.run(look) == opened[scheme], scheme
 
 
+@pytest.mark.slow
 def test_without_webgl_the_page_says_so_and_has_its_curves(tmp_path):
     if MISSING:
         pytest.skip(MISSING)

@@ -27,6 +27,7 @@ def run(joints=2, torque=5.0):
 JOINTS = [fm.Joint((0.0, 0.0, 1.0), 0.1, 100.0)] * 8
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("joints", [1, 2, 8])
 def test_a_picture_is_written_into_a_new_folder(joints, tmp_path):
     path = trajectory_figure(run(joints), tmp_path / "new" / "run.png")
@@ -34,6 +35,7 @@ def test_a_picture_is_written_into_a_new_folder(joints, tmp_path):
     assert path == tmp_path / "new" / "run.png" and min(picture.shape[:2]) > 600 and len(np.unique(picture)) > 20
 
 
+@pytest.mark.slow
 def test_another_trajectory_gives_another_picture_and_one_without_motion_can_be_drawn(tmp_path):
     pictures = [imread(trajectory_figure(run(torque=torque), tmp_path / "a.png")) for torque in (5.0, 5.0, 6.0, 0.0)]
     assert np.array_equal(pictures[0], pictures[1])
@@ -65,6 +67,7 @@ def test_the_axes_show_what_is_written_on_them(drawn, tmp_path):
     assert (twists[1] > 0.0).all()
 
 
+@pytest.mark.slow
 def test_the_residual_is_a_part_of_what_was_turned_over_or_in_joules_where_nothing_was(drawn, tmp_path):
     moved, still = run(), run(torque=0.0)
     for trajectory, unit, whole in (
@@ -78,6 +81,7 @@ def test_the_residual_is_a_part_of_what_was_turned_over_or_in_joules_where_nothi
     assert moved.energy_turnover[-1] > 0.0 == still.energy_turnover[-1] and result[-1] == pytest.approx(1.0)
 
 
+@pytest.mark.slow
 def test_a_solution_that_ended_early_is_drawn_to_its_end(tmp_path):
     whole = run()
     parts = {name: value[:1] for name, value in vars(whole).items() if isinstance(value, np.ndarray)}
@@ -93,6 +97,7 @@ def test_what_cannot_be_drawn_is_refused(tmp_path, monkeypatch):
         trajectory_figure(run(), tmp_path / "run.png")
 
 
+@pytest.mark.slow
 def test_the_title_says_when_a_solution_ended(drawn, tmp_path):
     whole = run()
     parts = {name: value[:5] for name, value in vars(whole).items() if isinstance(value, np.ndarray)}
@@ -127,6 +132,7 @@ def cases():
     return [trajectory(False, False), trajectory(True, False), trajectory(True, True)]
 
 
+@pytest.mark.slow
 def test_paper_figures_are_written(cases, tmp_path):
     paths = paper_figures(*cases, tmp_path / "new" / "folder")
     assert [path.name for path in paths] == [f"figure_{i:02d}.png" for i in range(6, 12)] + ["paper_figures.png"]
