@@ -7,7 +7,7 @@ import tempfile
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-WEB, DRAW = ROOT / "scripts" / "web", ROOT / "flexman_gym" / "draw"
+WEB, VIEW = ROOT / "scripts" / "web", ROOT / "flexman_gym" / "toolbox" / "view"
 FILES = ("replay.js", "replay.css")
 
 
@@ -24,9 +24,9 @@ def main() -> int:
         built = build(Path(folder))
     if not options.check:
         for name, content in built.items():
-            (DRAW / name).write_bytes(content)
+            (VIEW / name).write_bytes(content)
         return 0
-    different = [name for name, content in built.items() if (DRAW / name).read_bytes() != content]
+    different = [name for name, content in built.items() if (VIEW / name).read_bytes() != content]
     print(f"different: {', '.join(different)}" if different else "up to date")
     return int(bool(different))
 
