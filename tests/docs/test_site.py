@@ -26,8 +26,17 @@ ENTRY = re.compile(r"^::: (\S+)", re.MULTILINE)
 EQUATION = re.compile(r"\$\$(.*?)\$\$|(?<![\\$\w])\$([^\s$][^$]*?)\$(?![\d$])", re.DOTALL)
 ENTRIES = [entry for text in PAGES.values() for entry in ENTRY.findall(text)]
 ROOMS = {f"flexman_agents.{path.stem}" for path in (ROOT / "agents").glob("[!_]*.py")}  # each an entry as a whole
-PUBLIC = ("control", "draw", "envs", "envs.effects", "envs.sensors", "envs.tasks", "evaluation", "fidelity",
-          "identification", "metrics", "model", "scene", "scene.catalog", "simulation")  # fmt: skip
+PUBLIC = (
+    "control",
+    "draw",
+    "envs",
+    "envs.effects",
+    "envs.sensors",
+    "envs.tasks",
+    "evaluation",
+    "metrics",
+    "scene.catalog",
+)
 
 
 def prose(text):
