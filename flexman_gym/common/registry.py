@@ -115,14 +115,16 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
         return {**_registered().get(self._kind, {}), **self._own}
 
     def __getitem__(self, name: str) -> Entry:
-        if name not in self._loaded:
-            place = self._own.get(name)
-            if place is None:
-                if name not in self:
-                    raise KeyError(name)
-                self._loaded[name] = self._plugin(name, {**plugins().get(self._kind, {}), **self._places()}[name])
-            else:
-                self._loaded[name] = load_entry(place) if isinstance(place, str) else place
+        place = self._own.get(name)
+        if place is not None and not isinstance(place, str):
+            entry: Entry = place
+            return entry
+        if name not in self._loaded and place is not None:
+            self._loaded[name] = load_entry(place)
+        elif name not in self._loaded:
+            if name not in self:
+                raise KeyError(name)
+            self._loaded[name] = self._plugin(name, {**plugins().get(self._kind, {}), **self._places()}[name])
         return self._loaded[name]
 
     def _plugin(self, name: str, place: str) -> Entry:

@@ -23,7 +23,7 @@ def flat_info(info: Infos) -> Infos:
     """Return an info of one or of several arms whose values are numbers and arrays of numbers.
 
     An entry of a nested dict has the key "KEY/NAME". "status" is the index of the text in `kernels.layout.STATUS`,
-    "safety_status" that in `control.safety.STATUS`, and "failure" is True for a failure. Other texts and objects are
+    "safety_status" that in the STATUS of the safety filter, and "failure" is True for a failure. Other texts and objects are
     left out.
     """
     result = {}

@@ -187,7 +187,7 @@ class Limits:
         return result
 
     def predicted(self, model: Model) -> "LimitShares":
-        """Return the quantities with limits as functions of states, for `control.safety`."""
+        """Return the quantities with limits as functions of states, for `toolbox.safety.safety_filter`."""
         return LimitShares(self, model)
 
     def excess(self, view: View) -> Array:
@@ -285,7 +285,7 @@ class LimitShares:
         return self._limits.of_quantities(name) - self._margins.get(name, 0.0)
 
     def shares(self, states: Array, outputs: Array, stiffness: Array) -> Array:
-        """Return quantities as fractions (k, T, m) of their limits; see `control.safety.PredictedLimits`."""
+        """Return quantities as fractions (k, T, m) of their limits; see `PredictedLimits` of the safety filter."""
         (k, periods), flat = states.shape[:2], states.reshape(-1, states.shape[2])
         parts = [_product(self._rows, flat).reshape(k, periods, -1)]
         parts.append(outputs[..., TIP_VELOCITY] / self._bound("tip_speed"))

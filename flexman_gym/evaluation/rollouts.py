@@ -203,7 +203,7 @@ def rollout(
         seeds: seeds of the episodes; a number n <= 100 stands for the first n test seeds, 9000 to 9000 + n - 1.
         callback: function of the simulated `envs.episodes.Episodes`, called after the reset and every control period.
         set_plant: function that makes the simulated `Batch` use another simulation of the arms, see
-            `league.scenarios.PLANTS`; None for the integrator of the environment.
+            `toolbox.league.scenarios.PLANTS`; None for the integrator of the environment.
         options: options of the reset, such as start, goal and physical parameters, of all or of each of the arms.
         safety: True to run the agent with the setting safety=True of the environment, which needs the extra `mpc`.
 

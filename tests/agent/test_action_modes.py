@@ -43,7 +43,7 @@ WINDING = ActionModeEntry(Winding, ("rate",))
 
 @pytest.fixture
 def winding(monkeypatch):
-    monkeypatch.setitem(ACTIONS._places, "winding", f"{__name__}:WINDING")
+    monkeypatch.setitem(ACTIONS._own, "winding", f"{__name__}:WINDING")
     return {**SETTINGS, "actions": {"kind": "winding", "rate": 0.02}, "base": "pd"}
 
 

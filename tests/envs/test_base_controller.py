@@ -165,7 +165,7 @@ def test_misspelt_members_of_tasks_sensors_and_effects_are_refused(monkeypatch):
     assert said == "task.metric: ('reward',) is not allowed; give metrics, if it is meant, or another name"
     said = refusal(lambda: FlexManEnv(sensors=Measuring()))
     assert said == "sensors.measure: () is not allowed; give measures, if it is meant, or another name"
-    monkeypatch.setitem(SIGNALS, "tip_load", Pushing)
+    monkeypatch.setitem(SIGNALS._own, "tip_load", Pushing)
     said = refusal(lambda: FlexManEnv(randomisation={"tip_load": (0.0, 1.0)}))
     assert said.startswith("tip_load.add_tip_force: <bound method") and "give add_tip_forces, if it is meant" in said
 

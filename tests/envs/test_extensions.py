@@ -246,7 +246,7 @@ def test_a_controller_is_known_by_what_it_can_do():
 
 
 def test_a_signal_effect_is_one_entry(monkeypatch):
-    monkeypatch.setitem(SIGNALS, "sensor_bias", SensorBias)
+    monkeypatch.setitem(SIGNALS._own, "sensor_bias", SensorBias)
     biased, plain = FlexManEnv(randomisation={"sensor_bias": (0.01, 0.02)}), FlexManEnv()
     result, info = biased.reset(seed=0)
     expected, _ = plain.reset(seed=0)

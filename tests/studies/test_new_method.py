@@ -22,7 +22,7 @@ RUN = Run("a scene", MODEL, NEW, None, None, 1.0, 1.0, 100.0, 1e-6, 1e-2, "ok")
 
 def add(monkeypatch, model):
     """Add a method that equals an existing one except for its name."""
-    monkeypatch.setitem(METHODS, NEW, replace(METHODS[model], name=NEW))
+    monkeypatch.setitem(METHODS._own, NEW, replace(METHODS[model], name=NEW))
 
 
 def runs(monkeypatch):

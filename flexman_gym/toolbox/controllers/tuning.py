@@ -126,7 +126,7 @@ def _motor_loops(environment: Configuration) -> list[SampledLoop]:
     """Return the sampled loops of the motors, with the largest delay, at the goals of episodes with seeds 0 to 3.
 
     With Coulomb friction, each posture has a loop for every set of motors that stick while the rest slide, see
-    `control.margins`.
+    `toolbox.controllers.margins`.
     """
     postures, model = goal_postures(environment)
     timing = environment.control_period, environment.max_delay, environment.drive_bandwidth

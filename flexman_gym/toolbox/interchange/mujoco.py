@@ -1,4 +1,4 @@
-"""MuJoCo as external simulator: arms as chains of rigid pieces, see `model.mjcf` and `external_simulator`."""
+"""MuJoCo as external simulator: arms as chains of rigid pieces, see `mjcf` and `simulation.external_simulator`."""
 
 from collections.abc import Mapping
 from typing import Any, NamedTuple

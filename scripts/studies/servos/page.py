@@ -15,7 +15,7 @@ BODY = """{table}
 
 The table has the gain margin: the factor of both tuned gains at which an eigenvalue of the sampled loop leaves the
 unit circle, for the straight arm with four modes per link. Below 1 (bold) the tuned gains themselves are unstable.
-`control.margins` reports 1 for every unstable loop.
+`toolbox.controllers.margins` reports 1 for every unstable loop.
 
 - In simulations at {apart:.0%} below and above {count} of the limits, {calm} arms came to rest below and
   {calm_above} above.
