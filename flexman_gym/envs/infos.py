@@ -23,8 +23,8 @@ def flat_info(info: Infos) -> Infos:
     """Return an info of one or of several arms whose values are numbers and arrays of numbers.
 
     An entry of a nested dict has the key "KEY/NAME". "status" is the index of the text in `kernels.layout.STATUS`,
-    "safety_status" that in the STATUS of the safety filter, and "failure" is True for a failure. Other texts and objects are
-    left out.
+    "safety_status" that in the STATUS of the safety filter, and "failure" is True for a failure. Other texts and
+    objects are left out.
     """
     result = {}
     for key, value in info.items():
