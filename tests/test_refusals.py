@@ -287,6 +287,6 @@ def test_offenders_are_what_is_taken_what_is_said_otherwise_and_other_errors():
 
 @pytest.mark.slow
 def test_numba_without_its_compiler_is_refused_in_one_line():
-    script = "import os; os.environ['NUMBA_DISABLE_JIT'] = '1'; import flexman_gym"
+    script = "import os; os.environ['NUMBA_DISABLE_JIT'] = '1'; import flexman_gym; flexman_gym.simulate"
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
     assert done.stderr.strip().splitlines()[-1].startswith("ImportError: NUMBA_DISABLE_JIT: 1 is not allowed; give 0")

@@ -53,9 +53,6 @@ def register(kind: str, name: str, place: str) -> None:
 
     Raises:
         ValueError: for an unknown kind, another form of name or place, and for a name that is registered already.
-
-    Examples:
-        >>> fm.register("controller", "mine", "my_package.my_module:make")
     """
     one_of("kind", kind, TABLES)
     if not NAME.fullmatch(text("name", name)):

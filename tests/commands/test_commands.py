@@ -262,8 +262,6 @@ LEAGUE = ROOT / "docs" / "league"
             ["optimise", "gains", "FlexPlanar-v9"],
             "FlexPlanar-v9 does not exist; give the path of a file, or one of ",
         ),
-        (["train", "--engine", "sb3"], "--engine: this option of flexman train was removed: every run "),
-        (["train", "ppo_on_pd", "--runners=2"], "--runners: this option of flexman train was removed: it "),
         (["list", "robots"], "what: robots is not allowed; give some of environments, "),
     ],
 )

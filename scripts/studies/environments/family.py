@@ -110,8 +110,7 @@ def family_page(family: Family, baselines: Sequence[Baseline], errors: Sequence[
     if "FlexQuanser-v0" in family.environments:
         lines += ["### The real machine", "", *_machine(), ""]
     lines += paragraph(
-        "Rewards, starts and ends are on the page of the [tasks](tasks.md); sensors, conditions and the definitions of",
-        "the metrics are on the page of [all environments](index.md).",
+        "Rewards and ends: [tasks](tasks.md); sensors, conditions and metrics: [all environments](index.md).",
     )
     return "\n".join(lines) + "\n"
 
@@ -205,8 +204,8 @@ def _differences(name: str) -> list[str]:
         f"{arm.joints[0].rotor_inertia:g} kg m^2, because a motor controller at 50 Hz cannot damp the "
         f"{printed.joints[0].rotor_inertia:g} kg m^2 of `fm.catalog.paper_rrr()`, and a modal damping ratio of "
         f"{arm.modal_damping_ratio:g} of the links. The area of link 1 is the {used} one, {areas[0]:g} m^2. It is "
-        f"ten times too large for its printed polar moment; with `link1_area=\"corrected\"`, {areas[2]:g} m^2, link 1 "
-        f"weighs {corrected.links[0].mass:.3g} kg in place of {printed.links[0].mass:.3g} kg.",
+        f"ten times too large for its polar moment; `link1_area=\"corrected\"` makes it {areas[2]:g} m^2, and link 1 "
+        f"{corrected.links[0].mass:.3g} kg.",
     ), ""]  # fmt: skip
 
 
@@ -231,16 +230,15 @@ def _environment(name: str, baselines: Sequence[Baseline], errors: Sequence[Mode
         f"![{picture}]({name}.gif){{ width=480 }}", "", *description, "",
         f"{task}{named.horizon:g} s:", "", "```python", *shown, "```", "",
         *baseline_table(name, baselines), "", f"![{chart}]({name}.svg)", "",
-        *(_model_error(own[0]) if own else []), "", *_first_training(name, code),
+        *(_model_error(own[0]) if own else []), *_first_training(name, code),
     ]  # fmt: skip
 
 
 def _model_error(row: ModelError) -> list[str]:
     """Return the error of the default model in a sentence."""
     return paragraph(
-        "Under random torques of up to half the limits the tip of the default model is off by at most",
-        f"{length(row.model_largest)} within {DURATION:g} s; {length(row.steps_largest)} are due to the integration",
-        f"steps. A step of the finer model takes {row.cost:.2g} times as long.",
+        f"Random torques of up to half the limits: model error of the tip at most {length(row.model_largest)} within",
+        f"{DURATION:g} s, {length(row.steps_largest)} by the steps.",
     )
 
 

@@ -155,7 +155,8 @@ class Copy:
         """
         command = [sys.executable, "-B", "-m", "pytest", "-q", "-x", "--tb=no", "-p", "no:cacheprovider", *tests]
         names = str(self.root), str(self.root / "build" / "names")
-        environment = os.environ | {"PYTHONPATH": os.pathsep.join(names), "PYTHONDONTWRITEBYTECODE": "1"}
+        environment = {name: value for name, value in os.environ.items() if name != "PYTEST_ADDOPTS"}
+        environment |= {"PYTHONPATH": os.pathsep.join(names), "PYTHONDONTWRITEBYTECODE": "1"}
         kernels = self.root / "build" / "kernels"
         if own_kernels:
             environment["NUMBA_CACHE_DIR"] = str(kernels)

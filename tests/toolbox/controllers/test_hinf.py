@@ -171,7 +171,7 @@ def test_no_other_module_imports_slycot_and_a_missing_package_is_one_line(monkey
         for path in folder.rglob("*.py")
         if "slycot" in path.read_text(encoding="utf-8")
     }
-    assert users == {"control/hinf.py"}
+    assert users == {"toolbox/controllers/hinf.py"}
     monkeypatch.setitem(sys.modules, "slycot", None)
     with pytest.raises(ImportError, match=r"^the agent hinf needs slycot: pip install 'flexman_gym\[control\]'$"):
         hinf.HInfinity(plant)

@@ -26,7 +26,7 @@ from oracles.assertions import refusal
 from oracles.shipped import DESCRIBED, made_up, write_still
 
 SEEDS = range(9000, 9002)
-LEAGUE = Path(__file__).parents[2] / "docs" / "league" / "rows.csv"
+LEAGUE = Path(__file__).parents[3] / "docs" / "league" / "rows.csv"
 
 
 @pytest.fixture
