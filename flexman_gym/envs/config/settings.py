@@ -206,8 +206,8 @@ class EnvironmentSettings:
         "Meaning of an action. A name in agent.action_modes.ACTIONS: 'torque', motor torques as fractions of the "
         "torque limits; 'current' or 'voltage', motor currents or voltages; 'position' or 'velocity', references of "
         "servos; 'shaping', changes of the reference of the base controller; or a mapping with a name at 'kind' and "
-        "its arguments. A servo acts in every control period: with control_period=0.002 and action_repeat=10 at 500 Hz, "
-        "below an agent at 50 Hz.",
+        "its arguments. A servo acts in every control period: with control_period=0.002 and action_repeat=10 at 500 "
+        "Hz, below an agent at 50 Hz.",
         _actions_setting, named=True,
     )
     clip_actions: bool = _setting(

@@ -227,7 +227,7 @@ def _environment(name: str, baselines: Sequence[Baseline], errors: Sequence[Mode
     chart = f"{name}: tip error and largest torque of an episode without torque, with the PD, and with the tracking LQR"
     task = f"Task [{kind}](tasks.md#{kind.lower()}), control period {named.control_period:g} s, episodes of "
     return [
-        f"![{picture}]({name}.gif){{ width=480 }}", "", *description, "",
+        f"![{picture}]({name}.gif){{ width=464 }}", "", *description, "",
         f"{task}{named.horizon:g} s:", "", "```python", *shown, "```", "",
         *baseline_table(name, baselines), "", f"![{chart}]({name}.svg)", "",
         *(_model_error(own[0]) if own else []), *_first_training(name, code),
