@@ -168,7 +168,7 @@ def _make_motor_input(quantity: str, plant: Plant, base: Controller | None) -> T
 TORQUE = ActionModeEntry(lambda plant, base: TorqueMode(len(plant.torque_limit), base))
 CURRENT = ActionModeEntry(partial(_make_motor_input, "current"))
 VOLTAGE = ActionModeEntry(partial(_make_motor_input, "voltage"))
-ACTIONS: Registry[ActionModeEntry] = Registry("action mode", {
+ACTIONS: Registry[ActionModeEntry] = Registry("action-mode", {
     "torque": f"{__name__}:TORQUE",
     "current": f"{__name__}:CURRENT",
     "voltage": f"{__name__}:VOLTAGE",

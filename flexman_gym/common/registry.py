@@ -14,7 +14,7 @@ from flexman_gym.common.checks import one_of, text, value_error
 Entry = TypeVar("Entry")
 TABLES = {
     "controller": "flexman_gym.agent.base_controllers:BASES",
-    "action mode": "flexman_gym.agent.action_modes:ACTIONS",
+    "action-mode": "flexman_gym.agent.action_modes:ACTIONS",
     "task": "flexman_gym.envs.tasks:TASKS",
     "sensor": "flexman_gym.envs.sensors:SENSORS",
     "effect": "flexman_gym.envs.effects:SIGNALS",
@@ -22,7 +22,7 @@ TABLES = {
     "method": "flexman_gym.simulation.methods:METHODS",
 }
 """Kind of an entry -> its table."""
-GROUP = "flexman_gym.plugins"  # entry points of plug-ins, named KIND.NAME with a hyphen for a space
+GROUP = "flexman_gym.plugins"  # entry points of plug-ins, named KIND.NAME
 REGISTERED = "FLEXMAN_REGISTERED"  # environment variable with the names registered so far, for processes started later
 NAME = re.compile(r"[A-Za-z][\w-]*")
 PLACE = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*")
@@ -46,7 +46,7 @@ def register(kind: str, name: str, place: str) -> None:
 
     Args:
         kind: "controller" (a `ControllerEntry`, or a function of a `Plant` and keyword arguments that returns a
-            Controller), "action mode", "task" (class with the members of `Task`), "sensor" (function that returns a
+            Controller), "action-mode", "task" (class with the members of `Task`), "sensor" (function that returns a
             Sensor), "effect" (class with the members of `Effect`), "metric" (a `Metric`) or "method" (a `Method`).
         name: name of the entry; letters, digits, "_" and "-".
         place: module and name of the entry, "module:name", which is imported at its first use.
@@ -80,10 +80,9 @@ def plugins() -> dict[str, dict[str, str]]:
     found: dict[str, dict[str, str]] = {}
     for point in entry_points(group=GROUP):
         kind, _, name = point.name.partition(".")
-        kind = kind.replace("-", " ")
         if kind not in TABLES or not NAME.fullmatch(name) or not PLACE.fullmatch(point.value):
             owner = point.dist.name if point.dist else "a package"
-            form = f"KIND.NAME = module:name with one of {', '.join(TABLES)}".replace("action mode", "action-mode")
+            form = f"KIND.NAME = module:name with one of {', '.join(TABLES)}"
             message = f"plug-in of {owner}: {point.name} = {point.value} is left out; give {form}"
             warnings.warn(message, UserWarning, stacklevel=2)
             continue
@@ -107,21 +106,22 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
         self._kind, self._own, self._adapt = kind, dict(entries), adapt
         self._loaded: dict[str, Entry] = {}
 
-    def _places(self) -> dict[str, Any]:
-        """Return the entries, or their places, of the library and those that were registered."""
-        return {**_registered().get(self._kind, {}), **self._own}
+    def _place(self, name: Any) -> Any:
+        """Return the entry of a name, or its place; None for an unknown name."""
+        if name in self._own:
+            return self._own[name]
+        registered = _registered().get(self._kind, {})
+        return registered[name] if name in registered else plugins().get(self._kind, {}).get(name)
 
     def __getitem__(self, name: str) -> Entry:
-        place = self._own.get(name)
-        if place is not None and not isinstance(place, str):
-            entry: Entry = place
-            return entry
-        if name not in self._loaded and place is not None:
-            self._loaded[name] = load_entry(place)
-        elif name not in self._loaded:
-            if name not in self:
+        if name not in self._loaded:
+            place = self._place(name)
+            if place is None:
                 raise KeyError(name)
-            self._loaded[name] = self._plugin(name, {**plugins().get(self._kind, {}), **self._places()}[name])
+            if not isinstance(place, str):
+                entry: Entry = place
+                return entry
+            self._loaded[name] = load_entry(place) if name in self._own else self._plugin(name, place)
         return self._loaded[name]
 
     def _plugin(self, name: str, place: str) -> Entry:
@@ -135,7 +135,7 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
         return entry
 
     def __contains__(self, name: object) -> bool:
-        return isinstance(name, str) and (name in self._places() or name in plugins().get(self._kind, {}))
+        return self._place(name) is not None
 
     def __iter__(self) -> Iterator[str]:
         known = plugins().get(self._kind, {}) if plugins.cache_info().currsize else {}  # not read for a list alone
@@ -146,15 +146,18 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
 
     def items(self) -> ItemsView[str, Entry]:
         """Return all names and entries; a plug-in that cannot be imported is left out with a UserWarning."""
+        return self._all().items()
+
+    def values(self) -> ValuesView[Entry]:
+        """Return all entries, as `items`."""
+        return self._all().values()
+
+    def _all(self) -> dict[str, Entry]:
         found: dict[str, Entry] = {}
         plugins()
         for name in self:
             try:
                 found[name] = self[name]
             except ValueError as error:
-                warnings.warn(str(error), UserWarning, stacklevel=2)
-        return found.items()
-
-    def values(self) -> ValuesView[Entry]:
-        """Return the entries, as `items`."""
-        return dict(self.items()).values()
+                warnings.warn(str(error), UserWarning, stacklevel=3)
+        return found

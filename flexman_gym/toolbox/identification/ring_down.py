@@ -222,10 +222,8 @@ class RingDown(NamedTuple):
         if best is not fits[0]:
             notes.append(f"steps up to {100 * jitter.jitter:.2g} % from the median are read as equal ones")
         fit, used, remarks = best
-        return _modes(fit, [labels[i] for i in used])._with_notes([*notes, *remarks])
-
-    def _with_notes(self, notes: Sequence[str]) -> "RingDown":
-        return self._replace(notes=(*notes, *self.notes))
+        found = _modes(fit, [labels[i] for i in used])
+        return found._replace(notes=(*notes, *remarks, *found.notes))
 
 
 def _check_record(times: Array, values: Array, names: Sequence[str]) -> None:
@@ -351,15 +349,13 @@ def _modes(fit: DampedSinusoids, names: Sequence[str]) -> RingDown:
     if not proven and notes:
         allowed = "a record that proves a decay, without the tone of a motor or a fan"
         raise value_error("ringing", notes[0].removesuffix(" does not decay and is left out"), allowed)
-    if not proven:
-        _raise_no_mode(poles[0], fit.times[-1])
-    _raise_no_mode(poles[proven[0]], fit.times[-1])
+    _check_mode(poles[proven[0] if proven else 0], fit.times[-1])
     modes = proven[:MOST_MODES]
     result = RingDown(poles[modes], deviations[modes], tuple(notes))
     return _compare_columns(result, fit, names) if len(names) > 1 else result
 
 
-def _raise_no_mode(pole: Array, duration: float) -> None:
+def _check_mode(pole: Array, duration: float) -> None:
     """Raise a ValueError for a mode that is no vibration, or of which the record has too few cycles."""
     frequency, ratio = pole.tolist()
     if frequency * duration < MIN_CYCLES:
