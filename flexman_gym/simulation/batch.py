@@ -21,7 +21,7 @@ from flexman_gym.simulation.integrator import (
     find_tolerance,
     with_prescribed,
 )
-from flexman_gym.simulation.methods import DEFAULT_METHOD, IteratedGauss, LinearlyImplicit, Method
+from flexman_gym.simulation.methods import DEFAULT_METHOD, Method, ScipyMethod
 from flexman_gym.simulation.parameters import nominal_parameters, varied_constants
 
 MAX_ARMS, MAX_THREADS = 65536, 256  # largest numbers of arms and of threads of a batch
@@ -94,7 +94,7 @@ class Batch:
         period = self.control_period, self.substeps
         self._mover: BatchIntegrator
         self._bound_mover: BatchIntegrator | None = None  # integrator for which `bind_period` was called
-        if isinstance(self.method, LinearlyImplicit | IteratedGauss) and tolerance is None:
+        if not isinstance(self.method, ScipyMethod) and self.method.in_lanes and tolerance is None:
             constants = with_prescribed(model.constants, joints)
             self._mover = LaneIntegrator(constants, self.method, period, count, threads)
         else:

@@ -19,11 +19,11 @@ from flexman_gym.kernels import batch as kernels
 from flexman_gym.kernels import layout
 from flexman_gym.kernels.arguments import PER_ARM, address_table, aligned_zeros
 from flexman_gym.kernels.lanes import ARMS, NUMBER
-from flexman_gym.kernels.layout import ARMS_PER_GROUP, Constants, IntArray, Period, Tableau, TimeGrid, make_work
+from flexman_gym.kernels.layout import ARMS_PER_GROUP, Constants, IntArray, Period, TimeGrid, make_work
 from flexman_gym.kernels.outputs import tip_accelerations
 from flexman_gym.scene.signals import signal_table
 from flexman_gym.simulation.integrator import LANE_COST_RATIO, Integrator, evaluations_per_call
-from flexman_gym.simulation.methods import Explicit, FixedStepMethod, Implicit, IteratedGauss
+from flexman_gym.simulation.methods import FixedStepMethod
 from flexman_gym.simulation.worker_thread import WorkerThread
 
 PeriodRecord = tuple[Array, Array]  # rows (b, T, 2 d + 2) and outputs (b, T, OUTPUTS) after each of T periods
@@ -140,15 +140,6 @@ def _own_constants(constants: Constants) -> dict[str, Any]:
     return {name: getattr(constants, name).copy() for name in PER_ARM}
 
 
-def _kernel_method(method: FixedStepMethod) -> tuple[Tableau | None, tuple[int, float | None, Any]]:
-    """Return the arguments `tableau` and `counts` of the kernel `batch._fixed_step` for a method."""
-    if isinstance(method, Implicit):
-        return None, (0, None, method.coefficients)
-    if isinstance(method, IteratedGauss):
-        return None, method.counts
-    return method.tableau, (0, 0.0 if isinstance(method, Explicit) else None, None)
-
-
 Feedback = tuple[Array, IntArray, Array]  # PD control of the motors, see `kernels.batch._add_feedback`
 NO_FEEDBACK: Feedback = (np.zeros((0, 4, 1)), np.zeros((0, 2), dtype=np.int64), np.zeros((0, 2)))
 NO_PERIOD = np.zeros((0, 3), dtype=np.int64)  # addresses of no environment
@@ -168,7 +159,7 @@ class LaneIntegrator(BatchIntegrator):
     def __init__(
         self, constants: Constants, method: FixedStepMethod, period: tuple[float, int], arms: int, threads: int
     ) -> None:
-        self._method = _kernel_method(method)
+        self._method = method.kernel_arguments
         self._step, self._substeps = period[0] / period[1], period[1]
         self._single = arms == 1 and len(constants.station_mass) == 0
         groups = -(-arms // ARMS_PER_GROUP)

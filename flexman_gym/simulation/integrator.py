@@ -134,12 +134,9 @@ class Integrator:
         self._max_evaluations = evaluations_per_call(model.constants)
         self._at_rest = signal_table([None] * (model.n_joints + 6))
         self._coefficients: Tableau | GeneralisedAlpha | tuple[int, float | None, None] | None = None
-        if isinstance(method, Implicit):
-            self._coefficients = method.coefficients
-        elif isinstance(method, IteratedGauss):
-            self._coefficients = method.counts
-        elif not isinstance(method, ScipyMethod):
-            self._coefficients = method.tableau
+        if not isinstance(method, ScipyMethod):
+            tableau, counts = method.kernel_arguments
+            self._coefficients = tableau or counts[2] or counts
         self._lanes: tuple[Constants, tuple[IntArray, ...]] | None = None
         fewest = MIN_SEQUENCES if model.n_elastic else MIN_SEQUENCES_RIGID
         if isinstance(method, LinearlyImplicit) and len(method.sequence) >= fewest:

@@ -15,7 +15,7 @@ from flexman_gym.kernels.layout import ARMS_PER_GROUP, Constants
 from flexman_gym.model.model import Model
 from flexman_gym.scene.signals import signal_table
 from flexman_gym.simulation.batch_integrators import LaneIntegrator
-from flexman_gym.simulation.methods import FixedStepMethod, Implicit, IteratedGauss, LinearlyImplicit, Method
+from flexman_gym.simulation.methods import FixedStepMethod, Implicit, Method, ScipyMethod
 
 DIRECTIONS = ARMS_PER_GROUP - 1  # derivatives that one integration computes
 
@@ -116,7 +116,7 @@ class PeriodMap:
         self, model: Model, method: Method, period: tuple[float, int], parameters: Sequence[dict[str, Array]],
         constants: Constants | None = None,
     ) -> None:  # fmt: skip
-        if not isinstance(method, LinearlyImplicit | IteratedGauss):
+        if isinstance(method, ScipyMethod) or not method.in_lanes:
             raise value_error("method", method.name, "one of fixed steps that `simulate_all` integrates in groups")
         groups = max(1, -(-len(parameters) // DIRECTIONS))
         self.model, self.count, self._grid = model, len(parameters), (0.0, period[0] / period[1], period[1])

@@ -37,7 +37,7 @@ from flexman_gym.simulation.batch import MAX_ARMS, MAX_THREADS
 from flexman_gym.simulation.batch_integrators import LaneIntegrator
 from flexman_gym.simulation.diagnostics import explain_energy, explain_failure
 from flexman_gym.simulation.integrator import MAX_STEPS, Integrator, find_method, find_tolerance, with_prescribed
-from flexman_gym.simulation.methods import DEFAULT_METHOD, IteratedGauss, LinearlyImplicit, Method
+from flexman_gym.simulation.methods import DEFAULT_METHOD, Method, ScipyMethod
 from flexman_gym.simulation.parameters import varied_constants
 from flexman_gym.simulation.trajectory import Trajectory
 
@@ -339,7 +339,7 @@ def simulate_all(
     for i, scene in enumerate(scenes):
         _check_compatible(f"scenes[{i}]", scene, scenes[0], model is None)
     varied = varied_constants(settings.model, len(scenes), parameters)
-    lanes = isinstance(settings.method, LinearlyImplicit | IteratedGauss) and settings.tolerance is None
+    lanes = settings.method.in_lanes and settings.tolerance is None
     lanes = lanes and len(scenes) > 1
     drives = [scene.pieces for scene in scenes] if lanes else []
     if not lanes or not all(np.array_equal(each.times, drives[0].times) for each in drives):
@@ -366,7 +366,7 @@ def _simulate_in_lanes(
 ) -> list[Trajectory]:
     """Simulate scenes by fixed steps of a linearly implicit method; the pieces of all drives have equal boundaries."""
     model, method, interval, last = settings.model, settings.method, settings.interval, settings.rows
-    assert isinstance(method, LinearlyImplicit | IteratedGauss)
+    assert not isinstance(method, ScipyMethod)
     shared = with_prescribed(model.constants, scenes[0].prescribed_joints)
     integrator = LaneIntegrator(shared, method, (interval, settings.substeps), len(scenes), threads)
     integrator.set_constants(np.arange(len(scenes)), varied)

@@ -12,7 +12,7 @@ from flexman_gym.model.assembled_modes import compact_modes
 from flexman_gym.model.dynamics import mass_matrix, stiffness_matrix, tip_jacobian
 from flexman_gym.model.model import Model, build_model
 from flexman_gym.scene.scene import Scene
-from flexman_gym.simulation.methods import METHODS, Explicit, IteratedGauss, LinearlyImplicit, Method
+from flexman_gym.simulation.methods import METHODS, Method
 from flexman_gym.simulation.scene_simulation import simulate
 from flexman_gym.simulation.trajectory import Trajectory
 
@@ -274,11 +274,7 @@ class ModelSearch:
         self.screen(candidate)
         screened = self.screened[candidate]
         cost = self.scene.duration * screened.cost / max(screened.evaluations, 1)  # s^2, for an evaluation per step
-        if isinstance(method, Explicit):
-            return 0.3 * cost * len(method.b)  # no matrix factorisation
-        if isinstance(method, IteratedGauss):
-            return 0.7 * cost * method.evaluations
-        return 0.7 * cost * len(method.b) * max(method.sequence) if isinstance(method, LinearlyImplicit) else 0.0
+        return cost * method.step_cost
 
     def step_cost(self, trial: CandidateRun, estimate: float) -> float:
         """Return the processor time (s) to simulate the scene times the step (s), s^2, from a simulation.
