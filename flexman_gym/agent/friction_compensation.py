@@ -1,7 +1,6 @@
 """Friction compensation: mean friction torques over the motion predicted without friction, one control period ahead."""
 
 from collections.abc import Mapping
-from dataclasses import replace
 
 import numpy as np
 
@@ -9,6 +8,12 @@ from flexman_gym.agent.controller import Plant
 from flexman_gym.agent.internal_model import InternalModels
 from flexman_gym.common.arrays import Array, IntArray
 from flexman_gym.common.checks import value_error
+from flexman_gym.model.friction import (
+    friction_coefficients,
+    frictionless,
+    mean_friction_derivatives,
+    mean_friction_torques,
+)
 from flexman_gym.model.model import Model
 from flexman_gym.simulation.period_map import PeriodMap
 
@@ -18,25 +23,9 @@ from flexman_gym.simulation.period_map import PeriodMap
 # the remaining vibration is 0.06, 2 and 4 mm (peak to peak).
 COMPENSATION_FACTOR = 1.15
 FRICTION = ("viscous_friction", "coulomb_friction", "coulomb_rate", "static_excess")  # names of estimates
-SMALL_CHANGE = 1e-2  # fraction of the width; change of rates below which derivatives are integrated numerically
-NODES, WEIGHTS = np.array([0.5 - 0.15**0.5, 0.5, 0.5 + 0.15**0.5])[:, None], np.array([5.0, 8.0, 5.0]) / 18.0  # Gauss
-EQUAL_RATES = 1e-6  # rad/s; difference of motor rates below which the friction torque is that of the first rate
 
 
-def frictionless(model: Model) -> Model:
-    """Return the model without friction of the motors; a model without friction is returned unchanged.
-
-    Args:
-        model: model of the arm.
-    """
-    if not (model.constants.viscous_friction.any() or model.constants.coulomb_friction.any()):
-        return model
-    zero, none = np.zeros(model.n_joints), np.zeros(model.n_joints, dtype=np.int64)
-    slippery = model.constants._replace(viscous_friction=zero, coulomb_friction=zero, has_coulomb_friction=none)
-    return replace(model, constants=slippery)
-
-
-def friction_coefficients(model: Model, parameters: Mapping[str, Array], arms: IntArray) -> Array:
+def estimated_friction(model: Model, parameters: Mapping[str, Array], arms: IntArray) -> Array:
     """Return the viscous (N m s/rad) and Coulomb friction (N m) of the motors of the arms (r,), (r, 2, n).
 
     Args:
@@ -44,80 +33,10 @@ def friction_coefficients(model: Model, parameters: Mapping[str, Array], arms: I
         parameters: name -> (b, ...) estimated physical parameters; a missing name stands for the value of the model.
         arms: (r,) indices.
     """
-    result = np.tile(_model_coefficients(model), (len(arms), 1, 1))
+    result = np.tile(friction_coefficients(model), (len(arms), 1, 1))
     for i, name in enumerate(FRICTION[:2]):
         if name in parameters:
             result[:, i] = parameters[name][arms]
-    return result
-
-
-def _model_coefficients(model: Model) -> Array:
-    """Return the viscous (N m s/rad) and Coulomb friction (N m) of a model, (2, n)."""
-    return np.array([model.constants.viscous_friction, model.constants.coulomb_friction])
-
-
-def friction_torques(model: Model, rates: Array, coefficients: Array | None = None) -> Array:
-    """Return the friction torques (..., n), N m.
-
-    Args:
-        model: model of the arm.
-        rates: (..., n) motor rates, rad/s.
-        coefficients: (..., 2, n) viscous (N m s/rad) and Coulomb friction (N m); None for those of the model.
-    """
-    if coefficients is None:
-        coefficients = _model_coefficients(model)
-    sliding = np.tanh(rates / model.constants.coulomb_rate)
-    return coefficients[..., 0, :] * rates + coefficients[..., 1, :] * sliding
-
-
-def mean_friction_torques(coefficients: Array, before: Array, after: Array, width: Array | float) -> Array:
-    """Return the mean friction torques (..., n), N m, while the motor rates change uniformly.
-
-    The mean of c tanh(v / r) is c r (ln cosh(v1 / r) - ln cosh(v0 / r)) / (v1 - v0). Unlike the friction torque at the
-    first rate, it does not drive a motor whose rate changes sign.
-
-    Args:
-        coefficients: (..., 2, n) viscous (N m s/rad) and Coulomb friction (N m).
-        before: (..., n) motor rates v0 at the start, rad/s.
-        after: (..., n) motor rates v1 at the end, rad/s.
-        width: motor rate r of the smoothed Coulomb friction, for all joints or for each joint (n,), rad/s.
-    """
-    change = after - before
-    equal = np.abs(change) < EQUAL_RATES
-    integral = width * (_log_cosh(after / width) - _log_cosh(before / width))
-    sliding = np.where(equal, np.tanh(before / width), integral / np.where(equal, 1.0, change))
-    result: Array = coefficients[..., 0, :] * 0.5 * (before + after) + coefficients[..., 1, :] * sliding
-    return result
-
-
-def mean_friction_derivatives(
-    coefficients: Array, before: tuple[Array, Array], after: tuple[Array, Array], width: Array
-) -> Array:
-    """Return the derivatives (p, n) of `mean_friction_torques` with respect to p parameters.
-
-    Args:
-        coefficients: (2, n) as in `mean_friction_torques`.
-        before: motor rates at the start (1, n), rad/s, and their derivatives (p, n).
-        after: motor rates at the end and their derivatives.
-        width: (n,) as in `mean_friction_torques`.
-    """
-    (first, first_change), (last, last_change) = before, after
-    change = last - first
-    near = np.abs(change) < SMALL_CHANGE * width
-    divisor = np.where(near, 1.0, change)
-    mean = width * (_log_cosh(last / width) - _log_cosh(first / width)) / divisor
-    slopes = (1.0 - np.tanh((first + NODES * change) / width) ** 2) / width  # at three nodes of a quadrature, (3, n)
-    by_first = np.where(near, (1.0 - NODES.T) * WEIGHTS @ slopes, (mean - np.tanh(first / width)) / divisor)
-    by_last = np.where(near, NODES.T * WEIGHTS @ slopes, (np.tanh(last / width) - mean) / divisor)
-    sliding = by_first * first_change + by_last * last_change
-    result: Array = coefficients[0] * 0.5 * (first_change + last_change) + coefficients[1] * sliding
-    return result
-
-
-def _log_cosh(x: Array) -> Array:
-    """Return ln cosh x without overflow."""
-    size = np.abs(x)
-    result: Array = size + np.log1p(np.exp(-2.0 * size)) - np.log(2.0)
     return result
 
 
@@ -163,7 +82,7 @@ class FrictionCompensation:
         if self.model is self._rubbing_model:
             return 0.0
         estimated, key = parameters or {}, ("look-ahead", count)
-        coefficients = friction_coefficients(self._rubbing_model, estimated, arms)
+        coefficients = estimated_friction(self._rubbing_model, estimated, arms)
         others = {name: values[arms] for name, values in estimated.items() if name not in FRICTION}
         if others:
             self._models(*key).vary(arms, **others)
@@ -194,5 +113,5 @@ class FrictionCompensation:
         end = self._map.advance(np.append(state[0], (0.0, 0.0)), drive, np.pad(changes, ledger), drives)
         rates = self.model.n_dof + self.model.motor_columns
         before, after = (state[:, rates], changes[:, rates]), (end.row[None, rates], end.rows[:, rates])
-        coefficients, width = _model_coefficients(self._rubbing_model), self.model.constants.coulomb_rate
+        coefficients, width = friction_coefficients(self._rubbing_model), self.model.constants.coulomb_rate
         return COMPENSATION_FACTOR * mean_friction_derivatives(coefficients, before, after, width)

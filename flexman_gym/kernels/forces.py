@@ -59,7 +59,7 @@ def _motor_forces(constants, work, x, v):
         work.force[j] = 0.0
     for i in range(len(constants.mass)):
         m = constants.motor[i] if constants.motor[i] >= 0 else i
-        friction = constants.viscous_friction[i] * v[m]
+        friction = constants.rotor_damping[i] * v[m]
         if constants.has_coulomb_friction[i]:
             friction += _coulomb_torque(constants, i, v[m])
         torque = 0.0 if constants.prescribed[i] else work.drive[i]
@@ -217,7 +217,7 @@ def secant_friction(constants, work, v):
     and again. With the secant, a motor comes to rest; a W-method has its order with any approximate Jacobian.
     """
     for i in range(len(constants.mass)):
-        slope = constants.viscous_friction[i]
+        slope = constants.rotor_damping[i]
         if constants.has_coulomb_friction[i]:
             part = v[constants.motor[i] if constants.motor[i] >= 0 else i] / constants.coulomb_rate[i]
             slip = part * constants.coulomb_rate[i] / constants.stribeck_rate[i]

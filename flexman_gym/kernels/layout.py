@@ -101,7 +101,7 @@ class Constants(NamedTuple):
     passive_stiffness: Array  # (n,) stiffness of this spring, relaxed at a joint angle of 0; 0 for joints with motor
     rotor_inertia: PerArm  # (n,)
     carried_inertia: PerArm  # (n,) rotor inertia if the rotor also turns with the inboard link, else 0 (Eq. 23)
-    viscous_friction: PerArm  # (n,)
+    rotor_damping: PerArm  # (n,)
     coulomb_friction: PerArm  # (n,) zero in all arms where `has_coulomb_friction` is zero
     coulomb_rate: PerArm  # (n,) motor rate r in the Coulomb friction c tanh(rate / r)
     static_excess: PerArm  # (n,) static friction / Coulomb friction - 1

@@ -21,6 +21,7 @@ from flexman_gym.kernels.layout import (
     TIP_VELOCITY,
     make_work,
 )
+from flexman_gym.model.friction import coulomb_torques
 from flexman_gym.model.model import Model, check_model
 from flexman_gym.model.state_space import natural_modes
 
@@ -126,7 +127,7 @@ def damping_matrix(model: Model) -> Array:
                [-0.005,  0.005]])
     """
     matrix = _assemble(check_model(model), model.constants.joint_damping, model.constants.damping)
-    matrix[model.motor_columns, model.motor_columns] += model.constants.viscous_friction
+    matrix[model.motor_columns, model.motor_columns] += model.constants.rotor_damping
     return matrix
 
 
@@ -246,7 +247,7 @@ def inverse_dynamics(
         taylor = t ** np.arange(5) / np.array([1.0, 1.0, 2.0, 6.0, 24.0])
         return forces(*(spread @ (taylor[: 5 - order] @ motion[order:]) for order in range(3)))[:n]
 
-    torques = link_torques(0.0) + constants.viscous_friction * motion[1]
+    torques = link_torques(0.0) + constants.rotor_damping * motion[1]
     torques += coulomb_torques(model, motion[1])
     if model.n_motors == 0:
         return _finite_torques(torques, joint_accelerations)
@@ -255,13 +256,6 @@ def inverse_dynamics(
     twist_acceleration = curvature / constants.joint_stiffness[flexible]
     torques[flexible] += constants.rotor_inertia[flexible] * (motion[2, flexible] + twist_acceleration)
     return _finite_torques(torques, joint_accelerations)
-
-
-def coulomb_torques(model: Model, rates: Array) -> Array:
-    """Return the friction torques (n,), N m, without their viscous part, at motor rates (n,), rad/s."""
-    constants = model.constants
-    coulomb = constants.coulomb_friction * np.tanh(rates / constants.coulomb_rate)
-    return coulomb * (1.0 + constants.static_excess / (1.0 + (rates / constants.stribeck_rate) ** 2))
 
 
 def _finite_torques(torques: Array, joint_accelerations: object) -> Array:
@@ -282,7 +276,7 @@ def _check_invertible(model: Model, flexible: BoolArray) -> None:
     if model.n_elastic > 0:
         allowed = "False: with flexible links the joint motion does not determine the torques"
         raise value_error("model.choice.flexible_links", model.choice.flexible_links, allowed)
-    for field in ("joint_damping", "viscous_friction", "coulomb_friction"):
+    for field in ("joint_damping", "rotor_damping", "coulomb_friction"):
         values = getattr(constants, field)
         for i in np.flatnonzero(flexible & (values > 0.0)):
             name = field.removeprefix("joint_")

@@ -10,7 +10,7 @@ from flexman_gym.scene.scene import ModelChoice
 
 # fields of `layout.Constants` that are equal to fields or properties of joints
 EQUAL_FIELDS = (
-    "rotor_inertia", "coulomb_friction", "coulomb_rate", "static_excess", "stribeck_rate",
+    "rotor_inertia", "rotor_damping", "coulomb_friction", "coulomb_rate", "static_excess", "stribeck_rate",
     "knee_width", "ripple_torque", "ripple_cycles", "ripple_phase",
 )  # fmt: skip
 
@@ -27,7 +27,6 @@ def joint_constants(arm: Arm, choice: ModelChoice) -> dict[str, np.ndarray]:
     values = np.array([(joint.stiffness or 0.0, joint.backlash or 0.0, joint.soft_stiffness) for joint in arm.joints])
     twists, shares = spring_knees(arm, bent, *values.T[:, None])
     return fields | {
-        "viscous_friction": np.array([joint.rotor_damping for joint in arm.joints]),
         "motor": np.where(springs, motors, -1).astype(np.int64),
         "joint_stiffness": np.where(passive, 0.0, values[:, 0]),
         "joint_damping": np.array([joint.damping * (not joint.passive) for joint in arm.joints]),

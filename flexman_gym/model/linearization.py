@@ -31,6 +31,7 @@ from flexman_gym.model.dynamics import (
     stiffness_matrix,
 )
 from flexman_gym.model.element import NODE_COORDINATES
+from flexman_gym.model.friction import coulomb_slopes
 from flexman_gym.model.model import Model
 from flexman_gym.model.state_space import LinearModel, SecondOrderForm
 
@@ -234,7 +235,8 @@ def continuous_model(
     restoring = np.hstack([stiffness_matrix(model, motion[0]), damping_matrix(model)])
     forces = np.hstack([-restoring - inertial[:, : 2 * d], columns])
     if one_of("friction", friction, (SLIDING, AT_REST)) == AT_REST:
-        _add_coulomb_slopes(model, motion[1], forces)
+        motors = model.motor_columns
+        forces[motors, d + motors] -= coulomb_slopes(model, motion[1][motors])
     rows, output_names = _output_rows(model, motion, tip, outputs)
     mass = inertial[:, 2 * d :]
     second_order = SecondOrderForm((mass + mass.T) / 2.0, forces, rows)
@@ -282,17 +284,3 @@ def _state_names(model: Model) -> tuple[str, ...]:
             *(each if kind == "angle" else f"{each}_rate" for each in elastic),
         ]
     )
-
-
-def _add_coulomb_slopes(model: Model, speeds: Array, forces: Array) -> None:
-    """Subtract the slopes of the smoothed Coulomb friction at speeds (d,), N m s/rad, from forces (d, 2 d + m)."""
-    motors, constants = model.motor_columns, model.constants
-    slopes, rates = constants.coulomb_friction / constants.coulomb_rate, speeds[motors]
-    scaled_rates = np.abs(rates / constants.coulomb_rate)
-    # beyond 300 the slope is 0, and cosh would overflow
-    slopes = slopes / np.cosh(np.minimum(scaled_rates, 300.0)) ** 2
-    slip = rates / constants.stribeck_rate
-    coulomb = constants.coulomb_friction * np.tanh(rates / constants.coulomb_rate)
-    falling = 2.0 * coulomb * slip / (constants.stribeck_rate * (1.0 + slip**2))
-    slopes = slopes + constants.static_excess * (slopes - falling) / (1.0 + slip**2)
-    forces[motors, model.n_dof + motors] -= slopes

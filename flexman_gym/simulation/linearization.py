@@ -7,7 +7,8 @@ import numpy as np
 
 from flexman_gym.common.arrays import Vector
 from flexman_gym.common.checks import positive, value_error
-from flexman_gym.model.dynamics import coulomb_torques, split_state
+from flexman_gym.model.dynamics import split_state
+from flexman_gym.model.friction import coulomb_torques
 from flexman_gym.model.linearization import SLIDING, continuous_model, input_columns
 from flexman_gym.model.model import Model, check_model
 from flexman_gym.model.state_space import LinearModel

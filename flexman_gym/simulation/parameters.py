@@ -185,7 +185,7 @@ PARAMETERS: dict[str, _Parameter] = {
         "kg m^2", JOINT, lambda model: model.constants.rotor_inertia, _rotor_constants, factor=True,
         positive_unless="rigid",
     ),
-    "viscous_friction": _joint_constant("viscous_friction", "N m s/rad", factor=True),
+    "viscous_friction": _joint_constant("rotor_damping", "N m s/rad", factor=True),
     "coulomb_friction": _joint_constant(
         "coulomb_friction", "N m", factor=True, lacking="without Coulomb friction",
     ),

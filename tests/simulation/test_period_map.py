@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import flexman_gym as fm
-from flexman_gym.model.dynamics import coulomb_torques
+from flexman_gym.model.friction import coulomb_torques
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.integrator import default_step
 from flexman_gym.simulation.period_map import PeriodMap, period_jacobian

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 import flexman_gym as fm
-from flexman_gym.agent.friction_compensation import frictionless
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
+from flexman_gym.model.friction import frictionless
 from flexman_gym.model.state_space import discretize
 from flexman_gym.simulation.parameters import varied_model
 from flexman_gym.toolbox.controllers.lqr import POSTURE_SPACING, CostWeights

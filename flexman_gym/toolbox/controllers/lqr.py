@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 
 from flexman_gym.agent.base_controllers import ControllerEntry
 from flexman_gym.agent.controller import EpisodeInfo, Plant, Readings, saturated
-from flexman_gym.agent.friction_compensation import FrictionCompensation, frictionless
+from flexman_gym.agent.friction_compensation import FrictionCompensation
 from flexman_gym.agent.pd import torque_limits
 from flexman_gym.common.arrays import Array, BoolArray, IntArray, Vector, pad_rows, row_dots
 from flexman_gym.common.checks import check_solvable, mapping, one_of, positive, value_error
 from flexman_gym.common.files import READ_ERRORS, open_arrays
 from flexman_gym.kernels.cache import find_cache_folder
+from flexman_gym.model.friction import frictionless
 from flexman_gym.model.linearization import SLIDING
 from flexman_gym.model.model import Model, check_model
 from flexman_gym.model.state_space import LinearModel, discretize

@@ -6,9 +6,9 @@ import numpy as np
 
 from flexman_gym.agent.base_controllers import ControllerEntry
 from flexman_gym.agent.controller import EpisodeInfo, Plant, Readings, saturated
-from flexman_gym.agent.friction_compensation import mean_friction_derivatives, mean_friction_torques
 from flexman_gym.common.arrays import Array, BoolArray, IntArray, pad_rows
 from flexman_gym.model.dynamics import mass_matrix
+from flexman_gym.model.friction import friction_coefficients, mean_friction_derivatives, mean_friction_torques
 from flexman_gym.model.statics import holding_torques
 from flexman_gym.simulation.parameters import varied_model
 from flexman_gym.toolbox.controllers.references.trajectories import TIMING_LAWS
@@ -80,7 +80,7 @@ class TorqueFeedbackPD:
         self._inertia, self._scales = tuning.inertia * (1.0 - tuning.feedback) * inertia, scales
         self._models = models if model.constants.gravity.any() else None
         self._holding_factor = np.where(self._spring > 0.0, 1.0 - tuning.feedback, 1.0)
-        self._friction = np.array([model.constants.viscous_friction, model.constants.coulomb_friction])
+        self._friction = friction_coefficients(model)
         self._width = model.constants.coulomb_rate
         self._ages, self._classes = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
         self._rotation, self._holding = np.zeros((0, n)), np.zeros((0, n))

@@ -60,11 +60,11 @@ class BrakePrediction:
     def _vary(self, arms: IntArray, parameters: Mapping[str, Array]) -> None:
         """Set physical parameters, name -> (r, ...), of the first r arms."""
         constants = varied_constants(self._plant.model, len(arms), parameters)
-        nominal = np.tile(self._plant.model.constants.viscous_friction, (len(arms), 1))
-        friction = constants.get("viscous_friction", nominal) + self._damping
+        nominal = np.tile(self._plant.model.constants.rotor_damping, (len(arms), 1))
+        damping = constants.get("rotor_damping", nominal) + self._damping
         self._near.set_constants(arms, constants)
         for batch in self._later:
-            batch.set_constants(arms, {**constants, "viscous_friction": friction})
+            batch.set_constants(arms, {**constants, "rotor_damping": damping})
         self._stiffness[: len(arms)] = parameters.get("joint_stiffness", self._stiffness[: len(arms)])
 
     def present(self, states: Array, parameters: Mapping[str, Array]) -> Array:

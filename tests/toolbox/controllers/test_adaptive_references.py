@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import flexman_gym as fm
-from flexman_gym.agent.friction_compensation import friction_torques, frictionless
 from flexman_gym.model.dynamics import acceleration
+from flexman_gym.model.friction import friction_torques, frictionless
 from flexman_gym.model.statics import rest_tips
 from flexman_gym.simulation.parameters import varied_model
 from flexman_gym.toolbox.controllers.references.adaptive_references import (

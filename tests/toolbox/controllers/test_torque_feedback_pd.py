@@ -8,8 +8,8 @@ import pytest
 import flexman_gym as fm
 from flexman_gym.agent.base_controllers import make_base
 from flexman_gym.agent.controller import EpisodeInfo, Plant
-from flexman_gym.agent.friction_compensation import mean_friction_torques
 from flexman_gym.evaluation.metrics import evaluate
+from flexman_gym.model.friction import mean_friction_torques
 from flexman_gym.model.statics import holding_torques, rest_state
 from flexman_gym.toolbox.controllers.torque_feedback_pd import TUNINGS, TorqueFeedbackPD
 

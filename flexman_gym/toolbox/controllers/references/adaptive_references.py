@@ -5,8 +5,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from flexman_gym.agent.friction_compensation import friction_coefficients, friction_torques
+from flexman_gym.agent.friction_compensation import estimated_friction
 from flexman_gym.common.arrays import Array, IntArray, pad_rows
+from flexman_gym.model.friction import friction_torques
 from flexman_gym.model.model import Model
 from flexman_gym.model.statics import holding_torques, rest_state
 from flexman_gym.simulation.parameters import varied_model
@@ -129,7 +130,7 @@ class SlewReferences:
         if not len(arms):
             return
         weights, self._compliance[arms] = _adaptation_factors(self.model, self._payloads, parameters, arms)
-        self._friction[arms] = friction_coefficients(self.model, parameters, arms)
+        self._friction[arms] = estimated_friction(self.model, parameters, arms)
         for adapted, table in ((self._adapted_coordinates, self._coordinates), (self._adapted_torques, self._torques)):
             adapted[arms] = (weights[:, :, None, None, None] * table[arms]).sum(axis=1)
         if self.model.constants.gravity.any():
