@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from flexman_gym.agent.base_controllers import ControllerEntry
 from flexman_gym.agent.controller import EpisodeInfo, Plant, Readings, saturated
-from flexman_gym.agent.friction_compensation import FrictionCompensation
 from flexman_gym.agent.pd import torque_limits
 from flexman_gym.common.arrays import Array, BoolArray, IntArray, Vector, pad_rows, row_dots
 from flexman_gym.common.checks import check_solvable, mapping, one_of, positive, value_error
@@ -26,6 +25,7 @@ from flexman_gym.model.state_space import LinearModel, discretize
 from flexman_gym.model.statics import holding_torques, rest_state
 from flexman_gym.simulation.linearization import linearize
 from flexman_gym.simulation.parameters import varied_model
+from flexman_gym.toolbox.controllers.friction_compensation import FrictionCompensation
 from flexman_gym.toolbox.controllers.references.trajectories import TIMING_LAWS, plan_path, plan_slew
 
 

@@ -8,7 +8,6 @@ import numpy as np
 
 from flexman_gym.agent.base_controllers import ControllerEntry
 from flexman_gym.agent.controller import EpisodeInfo, Plant, Readings
-from flexman_gym.agent.friction_compensation import FrictionCompensation
 from flexman_gym.agent.pd import torque_limits
 from flexman_gym.common.arrays import Array, BoolArray, IntArray, Vector, pad_rows, row_dots
 from flexman_gym.common.checks import value_error
@@ -20,6 +19,7 @@ from flexman_gym.model.statics import holding_torques, rest_state
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.linearization import linearize
 from flexman_gym.simulation.methods import DEFAULT_METHOD, Method
+from flexman_gym.toolbox.controllers.friction_compensation import FrictionCompensation
 from flexman_gym.toolbox.controllers.lqr import MOTOR_WEIGHT, CostWeights
 from flexman_gym.toolbox.controllers.references.trajectories import plan_slew
 

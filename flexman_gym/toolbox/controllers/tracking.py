@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 
 from flexman_gym.agent.controller import Controller, EpisodeInfo, Plant, Readings
-from flexman_gym.agent.friction_compensation import FrictionCompensation
 from flexman_gym.common.arrays import Array, BoolArray, IntArray, pad_rows, row_dots
+from flexman_gym.toolbox.controllers.friction_compensation import FrictionCompensation
 from flexman_gym.toolbox.controllers.lqr import FEEDFORWARD_FRACTION, HOLDING_FACTOR, CostWeights, GainTable
 from flexman_gym.toolbox.controllers.observers.observer import Estimate, Observer
 from flexman_gym.toolbox.controllers.reference_shaping import ReferenceShaping

@@ -7,13 +7,13 @@ from scipy.stats import chi2
 
 import flexman_gym as fm
 from flexman_gym.agent.controller import EpisodeInfo
-from flexman_gym.agent.internal_model import DiscreteJacobians
 from flexman_gym.common.snapshot import get_state, set_state
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.model.linearization import LinearMeasurements
 from flexman_gym.model.state_space import discretize
 from flexman_gym.simulation.batch import Batch
+from flexman_gym.toolbox.controllers.internal_model import DiscreteJacobians
 from flexman_gym.toolbox.controllers.margins import sampled_loops
 from flexman_gym.toolbox.controllers.observers.kalman_filter import (
     FORCE_NOISE,

@@ -5,10 +5,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from flexman_gym.agent.controller import EpisodeInfo, Plant, Readings
-from flexman_gym.agent.internal_model import DelayCompensation, DiscreteJacobians
 from flexman_gym.common.arrays import Array, BoolArray, IntArray, pad_rows, row_dots
 from flexman_gym.model.linearization import LINEAR_SENSORS
 from flexman_gym.model.statics import rest_state
+from flexman_gym.toolbox.controllers.internal_model import DelayCompensation, DiscreteJacobians
 from flexman_gym.toolbox.controllers.observers.innovations import (
     PROCESS_NOISE,
     SMALL_PROCESS_NOISE,

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from flexman_gym.agent.internal_model import DiscreteJacobians
 from flexman_gym.common.arrays import Array, BoolArray, IntArray, pad_rows
+from flexman_gym.toolbox.controllers.internal_model import DiscreteJacobians
 from flexman_gym.toolbox.controllers.observers.kalman_filter import (
     measurement_update,
     stationary_covariance,

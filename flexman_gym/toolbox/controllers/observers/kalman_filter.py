@@ -5,11 +5,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from flexman_gym.agent.controller import EpisodeInfo, Plant, Readings
-from flexman_gym.agent.internal_model import DelayCompensation, DiscreteJacobians, InternalModels
 from flexman_gym.common.arrays import Array, BoolArray, IntArray, Vector, pad_rows, row_dots
 from flexman_gym.common.checks import flag, non_negative, value_error, vector
 from flexman_gym.model.linearization import LINEAR_SENSORS
 from flexman_gym.model.statics import holding_torques, rest_state
+from flexman_gym.toolbox.controllers.internal_model import DelayCompensation, DiscreteJacobians, InternalModels
 from flexman_gym.toolbox.controllers.observers.observer import MAX_BIAS, Estimate, MeasurementModel
 
 MAX_DOUBLINGS = 20  # number of doublings, for 2^20 periods, about a million

@@ -6,11 +6,11 @@ from typing import NamedTuple
 import numpy as np
 
 from flexman_gym.agent.controller import Plant
-from flexman_gym.agent.internal_model import InternalModels
 from flexman_gym.common.arrays import Array, BoolArray, IntArray, row_dots
 from flexman_gym.common.checks import mapping, number_array, value_error
 from flexman_gym.model.model import Model
 from flexman_gym.simulation.parameters import ARM, PARAMETERS, UNCERTAIN, varied_model
+from flexman_gym.toolbox.controllers.internal_model import InternalModels
 
 PARAMETER_STEP = 0.0003  # fraction of a range; perturbation; 0.03 would shift the phase by a radian in 2 s
 RANGE_MARGIN = 0.35  # fraction of a range by which an estimate may exceed the range

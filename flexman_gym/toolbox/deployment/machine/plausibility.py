@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from flexman_gym.agent.controller import Plant
-from flexman_gym.agent.internal_model import DiscreteJacobians
 from flexman_gym.common.arrays import Array, BoolArray
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.kernels.layout import OK
@@ -15,6 +14,7 @@ from flexman_gym.model.linearization import MEASUREMENT_UNITS, measurement_rows
 from flexman_gym.model.state_space import first_order_lag
 from flexman_gym.model.statics import holding_torques, rest_state
 from flexman_gym.simulation.batch import Batch
+from flexman_gym.toolbox.controllers.internal_model import DiscreteJacobians
 from flexman_gym.toolbox.controllers.observers.kalman_filter import (
     FORCE_NOISE,
     MISMATCH_FORCE_NOISE,

@@ -5,7 +5,6 @@ from collections.abc import Mapping
 import numpy as np
 
 from flexman_gym.agent.controller import Plant
-from flexman_gym.agent.internal_model import InternalModels
 from flexman_gym.common.arrays import Array, IntArray
 from flexman_gym.common.checks import value_error
 from flexman_gym.model.friction import (
@@ -16,6 +15,7 @@ from flexman_gym.model.friction import (
 )
 from flexman_gym.model.model import Model
 from flexman_gym.simulation.period_map import PeriodMap
+from flexman_gym.toolbox.controllers.internal_model import InternalModels
 
 # Compensating / estimated friction, dimensionless. Below 1, motors stick short of the goal. With a static friction 1.5
 # times the Coulomb friction and a Stribeck rate of 0.02 rad/s, both unknown, `privileged-lqr` settles 75 % of 20

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 import flexman_gym as fm
-from flexman_gym.agent.internal_model import DiscreteJacobians
 from flexman_gym.envs.view import View
 from flexman_gym.kernels.layout import LARGEST_STATE
 from flexman_gym.model.state_space import discretize
 from flexman_gym.model.statics import rest_state
 from flexman_gym.simulation.batch import Batch
+from flexman_gym.toolbox.controllers.internal_model import DiscreteJacobians
 from flexman_gym.toolbox.controllers.observers.observer import MIN_DEVIATION, MeasurementModel
 
 from oracles.observed_arms import ALL, POSTURES, plant
