@@ -22,6 +22,7 @@ from flexman_gym.envs.config.specification import make_base_and_mode, make_safe
 from flexman_gym.envs.effects import EffectContext
 from flexman_gym.envs.measurements import Measurements
 from flexman_gym.envs.motors import Motors
+from flexman_gym.envs.period import advance
 from flexman_gym.envs.sensors import SensorArray, find_sensors, measured_names
 from flexman_gym.envs.sensors.sensor import MeasuredView
 from flexman_gym.envs.tasks import Task
@@ -86,10 +87,14 @@ class Episodes:
         callback: function called after every control period; None for no function.
         limits: limits of the arms.
         cost: (b,) control periods of the last step with a violation, see `Limits`.
+        every: (b,) True; the mask of all arms, recognised by its identity.
+        ages: (b,) control periods of the episode.
+        motion_limits: (m,) limits of the entries of `view.motion`.
+        violated: (b,) True for an arm beyond its limits at the end of the last control period.
         excess: (b,) largest excess at the end of the last control period, see `Limits.excess`; 0 if not recorded.
     """
 
-    state_fields = ("batch", "motors", "effects", "view", "measurements", "over", "truncated", "_ages", "_failed")
+    state_fields = ("batch", "motors", "effects", "view", "measurements", "over", "truncated", "ages", "_failed")
 
     def __init__(self, configuration: Configuration, batch: Batch) -> None:
         self.batch, self.task, self.view = batch, configuration.task, View(batch)
@@ -98,7 +103,7 @@ class Episodes:
         self._current_view: View | None = None
         arms = len(batch.rows)
         self.limits, self.cost, self.excess = configuration.limits, np.zeros(arms), np.zeros(arms)
-        self._limits = np.concatenate(list(self.limits.bounds(self.view).values()))
+        self.motion_limits = np.concatenate(list(self.limits.bounds(self.view).values()))
         self.motors = Motors(configuration.torque_limit, arms, configuration.lag)
         base, mode = make_base_and_mode(configuration, batch.model)
         mode = make_safe(configuration, batch.model, base, mode)
@@ -115,9 +120,8 @@ class Episodes:
         self.callback: Callable[[], None] | None = None
         self.failures: dict[int, str] = {}
         self.over, self.truncated = np.ones(arms, dtype=bool), np.zeros(arms, dtype=bool)
-        self._no_observations, self._no_bounds = np.zeros((arms, 0)), np.zeros(0)
-        self._ages, self._violated = np.zeros(arms, dtype=np.int64), np.zeros(arms, dtype=bool)
-        self._all = np.ones(arms, dtype=bool)
+        self.ages, self.violated = np.zeros(arms, dtype=np.int64), np.zeros(arms, dtype=bool)
+        self.every = np.ones(arms, dtype=bool)
         self._compiled = self._compile_period(configuration, own_sensors)
 
     def _compile_period(self, configuration: Configuration, sensors: list[object]) -> CompiledPeriod | None:
@@ -125,7 +129,7 @@ class Episodes:
         acts = self.effects is not None and self.effects.acts
         if len(self.over) > 1 or acts or not CompiledPeriod.supports(configuration, sensors, self.agent.mode):
             return None
-        motors, ends = (self.motors.limits, self.motors.drive), (self._limits, self._violated, self._ages)
+        motors, ends = (self.motors.limits, self.motors.drive), (self.motion_limits, self.violated, self.ages)
         result = CompiledPeriod(configuration, self.batch, self.view, self.sensors, self.agent, motors, ends)
         return result if result.arguments else None
 
@@ -230,7 +234,7 @@ class Episodes:
         self.batch.reset(arms, start)
         self.motors.reached[arms] = 0.0
         self.view.effort[arms], self.view.failed[arms], self.view.action[arms] = 0.0, False, 0.0
-        self._ages[arms], self.truncated[arms], self.cost[arms] = 0, False, 0.0
+        self.ages[arms], self.truncated[arms], self.cost[arms] = 0, False, 0.0
         self.view.refresh()
         self.clear_cache()
         self.measurements.begin(arms, randoms)
@@ -294,18 +298,15 @@ class Episodes:
         self.agent.command = commands
         self.cost[:] = 0.0
         if self.agent.action_repeat == 1:
-            self._advance(self._all)
-            self._end_episodes(self._all, last=True)
-            self._observe(~self.view.failed if np.count_nonzero(self.view.failed) else self._all)
+            advance(self, self.every)
+            self._observe(~self.view.failed if np.count_nonzero(self.view.failed) else self.every)
             return self.rewards()
         begun = moving = ~self.over
         rewards, count, due = np.zeros(len(commands)), np.zeros(len(commands)), False
         while not due:
-            moving = self._all if moving.all() else moving
-            self._advance(moving)
-            due = bool(self.agent.due(moving).any())
-            self._end_episodes(moving, due)
-            rows = slice(None) if moving is self._all else moving
+            moving = self.every if moving.all() else moving
+            due = advance(self, moving)
+            rows = slice(None) if moving is self.every else moving
             rewards[rows] += self.rewards()[rows]
             count[rows] += 1.0
             moving = ~self.over
@@ -328,82 +329,25 @@ class Episodes:
         self.agent.command = period.command
         self.clear_cache()
         if result == kernels.FAILED:
-            self._fail(np.flatnonzero(self._violated))
+            self.fail(np.flatnonzero(self.violated))
         else:
             self._reward_terms = period.terms()
-        if self._ages[0] >= self.max_periods:
+        if self.ages[0] >= self.max_periods:
             self.truncated[:] = self.over[:] = True
         return float(self._total_reward())
 
-    def _advance(self, moving: BoolArray) -> None:
-        """Simulate the arms selected by a mask (b,) for one control period."""
-        view, motors, all_move = self.view, self.motors, moving is self._all
-        arriving = actions = np.ascontiguousarray(self.agent.act(self._readings(), view.action.copy(), ~self.over))
-        if self.effects is not None:
-            arriving = np.ascontiguousarray(self.effects.motor_actions(actions))
-            self.effects.disturb(motors.pushes, motors.forces, motors.accelerations, self.over)
-        arriving = motors.lagged(arriving)
-        kernels.apply_actions(actions, arriving, motors.limits, moving, motors.drive, view.action, view.effort)
-        self.batch.step(motors.drive, None if all_move else moving)
-        if self.task.moves:
-            self._move_goals(moving)
-        view.read()
-        self.clear_cache()
-        self.measurements.sample(None if all_move else np.flatnonzero(moving))
-
-    def _end_episodes(self, moving: BoolArray, last: bool) -> None:
-        """End the episodes of moving arms (b,) that exceeded their limits or reached the horizon.
-
-        After the last of `action_repeat` control periods the observations are compared with their bounds as well.
-        """
-        view = self.view
-        if moving is self._all and np.count_nonzero(view.failed):
-            self.failures, view.failed = {}, np.zeros_like(view.failed)
-        observations, bound = self._no_observations, self._no_bounds
-        if last:
-            observations, bound = self.measurements.read(), self.sensors.bound
-        flagged = kernels.flag_violations(
-            view.motion, self._limits, observations, bound, self.batch.status, self._violated
-        )
-        if flagged + self._charge(moving):
-            self._fail(np.flatnonzero(self._violated & moving))
-        if kernels.count_episode_periods(self._ages, moving, self.max_periods, self.truncated):
-            self.over |= self.truncated
-        if self.callback is not None:
-            self.callback()
-
-    def _charge(self, moving: BoolArray) -> int:
-        """Add violations by moving arms (b,) to the cost; flag and count the arms whose episodes they end."""
-        limits = self.limits
-        if not limits.recorded:
-            return 0
-        self.excess = limits.excess(self.view)
-        beyond = moving & (self.excess > 0.0)
-        if limits.on_violation != "record":
-            self.cost += beyond
-        if limits.on_violation != "end":
-            return 0
-        self._violated |= beyond
-        return int(np.count_nonzero(beyond))
-
-    def _move_goals(self, moving: BoolArray) -> None:
-        """Set the goals at the current time and their rates, for the moving arms (b,)."""
-        view, arms = self.view, slice(None) if moving is self._all else moving
-        goal = self.task.goal(view.episode_parameters, self.batch.time, view)
-        view.target_velocity[arms] = (goal.target[arms] - view.target[arms]) / view.control_period
-        view.goal_rates[arms] = (goal.angles[arms] - view.goal_angles[arms]) / view.control_period
-        view.target[arms], view.goal_angles[arms] = goal.target[arms], goal.angles[arms]
-
-    def _readings(self) -> dict[str, Array]:
-        """Return the readings of the agent's action mode, name -> (b, size)."""
+    @property
+    def readings(self) -> dict[str, Array]:
+        """Readings of the agent's action mode, name -> (b, size)."""
         return self.measurements.readings if self.agent.mode.sensors else {}
 
     def _observe(self, arms: BoolArray) -> None:
         """Update the observations of the arms selected by a mask (b,)."""
-        observed, readings = self.measurements.read(), self._readings() if self.agent.mode_observes else {}
+        observed, readings = self.measurements.read(), self.readings if self.agent.mode_observes else {}
         self.agent.observe(observed, readings, self.view.action.copy(), arms)
 
-    def _fail(self, arms: IntArray) -> None:
+    def fail(self, arms: IntArray) -> None:
+        """End the episodes of the arms (r,) after a violation or a divergence, with its cause."""
         for arm in arms[~self.over[arms]].tolist():
             status = self.batch.status[arm]
             self.failures[arm] = f"the simulation {layout.STATUS[status]}" if status else self._violation(arm)
@@ -413,7 +357,7 @@ class Episodes:
     def _violation(self, arm: int) -> str:
         """Describe the first limit or sensor bound exceeded by an arm; "" if it is within all of them."""
         view, sensors = self.view, self.sensors
-        failure = self.limits.describe(view.motion[arm], self._limits, view.slices, view.units)
+        failure = self.limits.describe(view.motion[arm], self.motion_limits, view.slices, view.units)
         failure = failure or self.limits.violation(view, arm)
         return failure or self.limits.describe(sensors.observations[arm], sensors.bound, sensors.slices, sensors.units)
 

@@ -17,7 +17,8 @@ from flexman_gym.model.friction import (
     mean_friction_derivatives,
     mean_friction_torques,
 )
-from tests.oracles.frictional import two_links as model
+
+from oracles.frictional import two_links as model
 
 RATES = st.floats(-8.0, 8.0)
 

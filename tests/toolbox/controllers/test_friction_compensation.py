@@ -8,7 +8,8 @@ from flexman_gym.agent.controller import Plant
 from flexman_gym.model.friction import frictionless
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.toolbox.controllers.friction_compensation import COMPENSATION_FACTOR, FrictionCompensation
-from tests.oracles.frictional import two_links as model
+
+from oracles.frictional import two_links as model
 
 PERIOD, LIMITS = 0.02, (12.0, 4.0)
 

@@ -19,7 +19,8 @@ from flexman_gym.simulation.linearization import linearize
 from flexman_gym.toolbox import controllers
 from flexman_gym.toolbox.controllers.observers.observer import Estimate
 from flexman_gym.toolbox.controllers.tracking import Tracking
-from tests.oracles.frictional import two_links as model
+
+from oracles.frictional import two_links as model
 
 PERIOD, LIMITS = 0.02, (12.0, 4.0)
 
