@@ -16,8 +16,8 @@ from flexman_gym.kernels import layout
 from flexman_gym.model.model import Model
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.methods import DEFAULT_METHOD, Method
-from flexman_gym.simulation.parameters import ARM, PARAMETERS, ScalarParameter, varied_model
 from flexman_gym.simulation.period_map import PeriodMap
+from flexman_gym.simulation.physical_parameters import ARM, PARAMETERS, ScalarParameter, varied_model
 from flexman_gym.toolbox.sensitivity.differentiation import constant_derivatives
 
 
@@ -57,7 +57,7 @@ class DifferentiableArm:
         Args:
             state: (b, 2 d) coordinates and speeds; order in `kernels.layout`.
             torque: (b, n) motor torques, N m.
-            **parameters: values by their name in `simulation.parameters.PARAMETERS`, in the units there: (b,) for an
+            **parameters: values by their name in `physical_parameters.PARAMETERS`, in the units there: (b,) for an
                 arm, (b, n) for its joints or links; () or (n,) for all arms. Component modes do not change with them.
 
         Returns:

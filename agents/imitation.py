@@ -23,8 +23,9 @@ from flexman_gym.agent.network import MAX_INPUT, VARIANCE_OFFSET, Network
 from flexman_gym.common.arrays import Array, BoolArray, IntArray
 from flexman_gym.common.checks import one_of, value_error
 from flexman_gym.common.run_folder import NEWEST, write_npz
+from flexman_gym.envs.config.base_and_mode import make_base_and_mode
 from flexman_gym.envs.config.fidelity import resolve_fidelity
-from flexman_gym.envs.config.specification import make_base_and_mode, make_plant
+from flexman_gym.envs.config.plant import make_plant
 from flexman_gym.evaluation.agents import AgentSpec, observation_layout, split_interface
 from flexman_gym.evaluation.rollouts import Rollout, rollout, training_seed
 

@@ -16,7 +16,7 @@ from flexman_gym.envs.tasks.rewards import NEAR
 from flexman_gym.model.deformation import link_shapes
 from flexman_gym.model.model import Model
 from flexman_gym.model.state_space import LinearModel
-from flexman_gym.simulation.parameters import varied_model
+from flexman_gym.simulation.physical_parameters import varied_model
 from flexman_gym.toolbox.controllers.input_shaping.shapers import design_shaper, excited_modes
 from flexman_gym.toolbox.controllers.lqr import CostWeights
 from studies.files import folder

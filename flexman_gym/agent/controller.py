@@ -27,8 +27,8 @@ class Plant(NamedTuple):
         gains: function that returns PD gains tuned for the arm: "stiffness" (N m/rad) and "damping" (N m s/rad), (n,)
             each.
         unknown: uncertain parameters: name -> range (low, high). The names are the keys of
-            `simulation.parameters.UNCERTAIN`, with the units of its parameters: "payload_mass" (kg),
-            "joint_stiffness_factor" (relative), and so on; none of `simulation.parameters.UNMODELLED`.
+            `physical_parameters.UNCERTAIN`, with the units of its parameters: "payload_mass" (kg),
+            "joint_stiffness_factor" (relative), and so on; none of `physical_parameters.UNMODELLED`.
         delay: (2,) smallest and largest delay of the torques, whole control periods.
         integration: integration method and step (s) of simulations.
         tip_force: magnitude of unmeasured forces on the tip, N.
@@ -65,7 +65,7 @@ class EpisodeInfo:
         period: control period, s.
         path: function that returns `reference`; None for a fixed goal.
         drawn: name -> (r, ...) randomised true values of these episodes, for privileged controllers only: physical
-            parameters in their units without those of `simulation.parameters.UNMODELLED`, and the delay of the torques
+            parameters in their units without those of `physical_parameters.UNMODELLED`, and the delay of the torques
             in control periods.
     """
 

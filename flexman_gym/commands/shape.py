@@ -152,7 +152,7 @@ def _arm_ringing(options: argparse.Namespace, motion: "Motion") -> "Ringing":
 
     A second mode belongs to them if it moves the tip by more than the allowed residual of the first one.
     """
-    from flexman_gym.simulation.parameters import varied_model
+    from flexman_gym.simulation.physical_parameters import varied_model
     from flexman_gym.toolbox.controllers.input_shaping.shapers import excited_modes
     from flexman_gym.toolbox.identification.ring_down import MAX_DAMPING
     from flexman_gym.toolbox.identification.ringing import DAMPING_DEVIATION, FREQUENCY_DEVIATION, Ringing

@@ -12,7 +12,7 @@ from flexman_gym.envs.config.randomisation import Randomisation
 from flexman_gym.envs.effects import HOOKS, SIGNALS, EffectContext
 from flexman_gym.envs.random_streams import RandomStreams
 from flexman_gym.model.model import Model
-from flexman_gym.simulation.parameters import LINK, PARAMETERS
+from flexman_gym.simulation.physical_parameters import LINK, PARAMETERS
 
 
 class ActiveEffects:

@@ -16,9 +16,9 @@ from flexman_gym.common.checks import number_array, one_of, sample_count, value_
 from flexman_gym.common.snapshot import get_state, set_state
 from flexman_gym.envs.active_effects import ActiveEffects
 from flexman_gym.envs.compiled_period import CompiledPeriod
+from flexman_gym.envs.config.base_and_mode import make_base_and_mode, make_safe
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.reset_options import parse_reset_options, replace_tip_positions
-from flexman_gym.envs.config.specification import make_base_and_mode, make_safe
 from flexman_gym.envs.effects import EffectContext
 from flexman_gym.envs.measurements import Measurements
 from flexman_gym.envs.motors import Motors
@@ -31,7 +31,7 @@ from flexman_gym.envs.view import Number, View
 from flexman_gym.kernels import control_period as kernels
 from flexman_gym.kernels import layout
 from flexman_gym.simulation.batch import Batch
-from flexman_gym.simulation.parameters import UNMODELLED
+from flexman_gym.simulation.physical_parameters import UNMODELLED
 
 MAX_DRAWS = 1000  # draws of a task for an episode whose start and goal are in the workspace
 ROUNDING = 1e-6  # largest rounding error of float32 actions near 1

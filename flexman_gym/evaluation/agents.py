@@ -22,9 +22,9 @@ from flexman_gym.common.arrays import Array, BoolArray, IntArray
 from flexman_gym.common.checks import unknown_name, value_error
 from flexman_gym.common.files import existing_file, naming, reading
 from flexman_gym.common.run_folder import BEST, NEWEST, NO_SETTINGS, SETTINGS, check_keys, read_npz, read_settings
+from flexman_gym.envs.config.base_and_mode import make_base_and_mode
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
-from flexman_gym.envs.config.specification import make_base_and_mode
 from flexman_gym.evaluation.policy_files import METADATA, POLICIES, policy_folder, read_policy
 
 INTERFACE = ("base", "action_repeat", "sensors", "history", "actions")  # settings that belong to the agent

@@ -38,7 +38,7 @@ class Motor:
             sin(ripple_cycles * angle + ripple_phase) at the angle of the motor shaft, whatever the current: cogging and
             offsets of the current sensors (Holtz and Springob 1996, IEEE Trans. Ind. Electron. 43, 309).
         ripple_cycles: cycles of the torque ripple per turn of the motor shaft, 1; None without torque ripple. An
-            amplitude of 0 with cycles can be varied, see `simulation.parameters`.
+            amplitude of 0 with cycles can be varied, see `simulation.physical_parameters`.
         ripple_phase: rad.
         resistance: resistance of the winding, ohm, for a motor whose input is a voltage U (V); None for a motor whose
             current is controlled, so that its torque does not depend on its speed. At the speed w (rad/s) of the shaft
@@ -166,7 +166,7 @@ class Joint:
         stribeck_rate: rotor rate at which half of this excess is left, rad/s.
         backlash: total gap between motor and link, measured at the joint, rad; None for a spring without gap. The
             spring acts beyond half the gap on either side; the damper also acts within the gap. A backlash of 0 is a
-            spring without gap whose backlash can be varied, see `simulation.parameters`.
+            spring without gap whose backlash can be varied, see `simulation.physical_parameters`.
         stiffness_pieces: pieces of the spring below its full stiffness, as (torque, fraction), ...: up to the torque, N
             m, ascending, the stiffness is a fraction > 0 and <= 1 of `stiffness`, which acts beyond the last.
         knee_width: twist on either side of an end of the gap or of a piece, over which the stiffness changes linearly,

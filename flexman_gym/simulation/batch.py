@@ -22,7 +22,7 @@ from flexman_gym.simulation.integrator import (
     with_prescribed,
 )
 from flexman_gym.simulation.methods import DEFAULT_METHOD, Method, ScipyMethod
-from flexman_gym.simulation.parameters import nominal_parameters, varied_constants
+from flexman_gym.simulation.physical_parameters import nominal_parameters, varied_constants
 
 MAX_ARMS, MAX_THREADS = 65536, 256  # largest numbers of arms and of threads of a batch
 EXCLUDED = -1  # status of arms excluded from a step; used between batch and integrator only
@@ -271,7 +271,7 @@ class Batch:
 
         Args:
             arms: indices (r,) of the arms.
-            **parameters: values (r,) or (r, n) by their name in `simulation.parameters.PARAMETERS`, in the units there.
+            **parameters: values (r,) or (r, n) by their name in `physical_parameters.PARAMETERS`, in the units there.
 
         Raises:
             ValueError: for an unknown name or a wrong shape, for negative or non-finite numbers, for zero where the arm
@@ -280,7 +280,7 @@ class Batch:
         self.set_constants(arms, varied_constants(self.model, len(arms), parameters))
 
     def set_constants(self, arms: np.ndarray, constants: dict[str, Array]) -> None:
-        """Set constants (r, ...) of the arms (r,), results of `simulation.parameters.varied_constants`; see `vary`."""
+        """Set constants (r, ...) of the arms (r,), results of `physical_parameters.varied_constants`; see `vary`."""
         self._known = False
         self._mover.set_constants(arms, constants)
 

@@ -20,7 +20,7 @@ from flexman_gym.model.element import NODE_COORDINATES, Element
 from flexman_gym.model.model import Model, build_model
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.batch_integrators import BatchIntegrator
-from flexman_gym.simulation.parameters import LINK, PARAMETERS
+from flexman_gym.simulation.physical_parameters import LINK, PARAMETERS
 
 Stations = Sequence[Array]  # m; positions (s_i,) of the sections along link i, the last at its tip
 ROTATION_WEIGHT = 1e-4  # weight of rotations: squared radius of gyration relative to the squared section spacing

@@ -38,7 +38,7 @@ from flexman_gym.simulation.batch_integrators import LaneIntegrator
 from flexman_gym.simulation.diagnostics import explain_energy, explain_failure
 from flexman_gym.simulation.integrator import MAX_STEPS, Integrator, find_method, find_tolerance, with_prescribed
 from flexman_gym.simulation.methods import DEFAULT_METHOD, Method, ScipyMethod
-from flexman_gym.simulation.parameters import varied_constants
+from flexman_gym.simulation.physical_parameters import varied_constants
 from flexman_gym.simulation.trajectory import Trajectory
 
 TIP_ACCELERATIONS = {  # name of a component -> column of `tip_accelerations`

@@ -8,7 +8,7 @@ from flexman_gym.agent.agent import Agent
 from flexman_gym.agent.base_controllers import make_base
 from flexman_gym.agent.network import Network
 from flexman_gym.common.arrays import pad_rows
-from flexman_gym.envs.config.specification import make_plant
+from flexman_gym.envs.config.plant import make_plant
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.vector_env import FlexManVectorEnv
 

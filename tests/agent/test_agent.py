@@ -9,7 +9,7 @@ from flexman_gym.agent.base_controllers import make_base
 from flexman_gym.agent.controller import EpisodeInfo
 from flexman_gym.agent.network import Network
 from flexman_gym.agent.pd import PD
-from flexman_gym.envs.config.specification import make_plant
+from flexman_gym.envs.config.plant import make_plant
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.sensors import ServoErrors, find_sensors
 from flexman_gym.envs.vector_env import FlexManVectorEnv

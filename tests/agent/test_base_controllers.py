@@ -7,7 +7,7 @@ from flexman_gym.agent.base_controllers import BASES, make_base
 from flexman_gym.agent.pd import PD
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
-from flexman_gym.envs.config.specification import make_plant
+from flexman_gym.envs.config.plant import make_plant
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.evaluation.metrics import evaluate
 from flexman_gym.evaluation.rollouts import rollout

@@ -12,7 +12,7 @@ from flexman_gym.agent.controller import Controller, EpisodeInfo
 from flexman_gym.agent.pd import PD
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
-from flexman_gym.envs.config.specification import make_plant
+from flexman_gym.envs.config.plant import make_plant
 from flexman_gym.envs.sensors import SENSORS
 from flexman_gym.model.statics import holding_torques
 

@@ -5,7 +5,7 @@ import pytest
 
 import flexman_gym as fm
 from flexman_gym.simulation.batch import Batch
-from flexman_gym.simulation.parameters import nominal_parameters
+from flexman_gym.simulation.physical_parameters import nominal_parameters
 
 pytest.importorskip("stable_baselines3")
 torch = pytest.importorskip("torch")

@@ -10,7 +10,7 @@ import pytest
 
 import flexman_gym as fm
 from flexman_gym.evaluation.policy_files import FOLDER
-from flexman_gym.simulation.parameters import varied_model
+from flexman_gym.simulation.physical_parameters import varied_model
 
 from oracles.browser import one_browser
 

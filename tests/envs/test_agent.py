@@ -8,7 +8,7 @@ from gymnasium.vector import AutoresetMode
 import flexman_gym as fm
 from flexman_gym.agent.base_controllers import make_base
 from flexman_gym.agent.pd import PD
-from flexman_gym.envs.config.specification import make_plant
+from flexman_gym.envs.config.plant import make_plant
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.sensors import FullState
 from flexman_gym.envs.vector_env import FlexManVectorEnv

@@ -13,12 +13,12 @@ from flexman_gym.agent.base_controllers import make_base
 from flexman_gym.agent.pd import PD, stability_limit
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
+from flexman_gym.envs.config.plant import make_plant
 from flexman_gym.envs.config.randomisation import Randomisation
-from flexman_gym.envs.config.specification import make_plant
 from flexman_gym.envs.registration import CONDITION_FOLDER, CONDITIONS
 from flexman_gym.model.state_space import discretize
 from flexman_gym.simulation.batch import Batch
-from flexman_gym.simulation.parameters import UNMODELLED
+from flexman_gym.simulation.physical_parameters import UNMODELLED
 
 pytestmark = pytest.mark.filterwarnings("ignore:Link.second_moment_y")  # of the paper's printed area
 IDS = [name for name, named in NAMED_ENVIRONMENTS.items() if named.conditions]

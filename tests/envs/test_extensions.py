@@ -12,7 +12,7 @@ from flexman_gym.agent.base_controllers import make_base
 from flexman_gym.agent.controller import Controller
 from flexman_gym.common import files
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
-from flexman_gym.envs.config.specification import make_plant
+from flexman_gym.envs.config.plant import make_plant
 from flexman_gym.envs.effects import SIGNALS
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.sensors import Entry

@@ -16,7 +16,7 @@ from flexman_gym.envs.effects import SIGNALS
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.vector_env import FlexManVectorEnv
 from flexman_gym.scene.joint import Motor
-from flexman_gym.simulation.parameters import PARAMETERS
+from flexman_gym.simulation.physical_parameters import PARAMETERS
 
 from oracles.random_inputs import EVERYTHING, FRICTION, GEARS, actions
 

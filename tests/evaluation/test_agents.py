@@ -9,9 +9,9 @@ from flexman_gym.agent.action_modes import TorqueMode
 from flexman_gym.agent.agent import Agent
 from flexman_gym.agent.network import Network
 from flexman_gym.agent.pd import PD
+from flexman_gym.envs.config.base_and_mode import make_base_and_mode
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
-from flexman_gym.envs.config.specification import make_base_and_mode
 from flexman_gym.envs.vector_env import FlexManVectorEnv
 from flexman_gym.evaluation.agents import (
     BASELINES,

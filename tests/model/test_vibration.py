@@ -8,7 +8,7 @@ from scipy.optimize import brentq
 
 import flexman_gym as fm
 from flexman_gym.model.state_space import natural_modes
-from flexman_gym.simulation.parameters import varied_model
+from flexman_gym.simulation.physical_parameters import varied_model
 
 STRIP = fm.Link.strip(0.5, 0.04, 0.003)
 HUB = fm.Joint((0.0, 0.0, 1.0))

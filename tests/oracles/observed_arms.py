@@ -5,11 +5,11 @@ import numpy as np
 from flexman_gym.agent.controller import EpisodeInfo
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
-from flexman_gym.envs.config.specification import make_plant
+from flexman_gym.envs.config.plant import make_plant
 from flexman_gym.model.linearization import LINEAR_SENSORS, LinearMeasurements
 from flexman_gym.model.statics import rest_state
 from flexman_gym.simulation.batch import Batch
-from flexman_gym.simulation.parameters import PARAMETERS, UNCERTAIN
+from flexman_gym.simulation.physical_parameters import PARAMETERS, UNCERTAIN
 from flexman_gym.toolbox.controllers.observers.observer import MeasurementModel
 
 SMALL = {"elements": 1, "modes": 1}

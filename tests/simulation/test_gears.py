@@ -13,7 +13,7 @@ from flexman_gym.kernels.layout import JOINT_ENERGY, OUTPUTS, make_work
 from flexman_gym.kernels.outputs import compute_outputs
 from flexman_gym.model.dynamics import elastic_forces
 from flexman_gym.simulation.batch import Batch
-from flexman_gym.simulation.parameters import nominal_parameters, varied_model
+from flexman_gym.simulation.physical_parameters import nominal_parameters, varied_model
 
 from oracles.chains import QUICK, laden_rrr
 from oracles.random_inputs import drives, states_of

@@ -9,7 +9,7 @@ import pytest
 import flexman_gym as fm
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.methods import IteratedGauss
-from flexman_gym.simulation.parameters import varied_model
+from flexman_gym.simulation.physical_parameters import varied_model
 
 from oracles.assertions import refusal
 from oracles.files import REFERENCE

@@ -8,7 +8,7 @@ from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.model.friction import frictionless
 from flexman_gym.model.state_space import discretize
-from flexman_gym.simulation.parameters import varied_model
+from flexman_gym.simulation.physical_parameters import varied_model
 from flexman_gym.toolbox.controllers.lqr import POSTURE_SPACING, CostWeights
 from studies.control.random_arms import MAX_REACH, MAX_SAG, MIN_REACH, random_arm, uncertain_environment
 

@@ -4,7 +4,7 @@ from typing import Any
 
 from flexman_gym.common.checks import keyword_error, non_negative, positive, suggestion, value_error, vector
 from flexman_gym.envs.effects import SIGNALS, Range
-from flexman_gym.simulation.parameters import PARAMETERS
+from flexman_gym.simulation.physical_parameters import PARAMETERS
 
 DEFAULT_IMPULSE_GAP = 2.0  # s; mean time between two impulses or changes of load
 
@@ -18,7 +18,7 @@ class Randomisation:
 
     Args:
         impulse_gap: mean time between two impulses, or two changes of load, s; at least a control period. None for 2 s.
-        **ranges: name -> (low, high). Physical parameters of `simulation.parameters.PARAMETERS`: payload_mass (kg),
+        **ranges: name -> (low, high). Physical parameters of `physical_parameters.PARAMETERS`: payload_mass (kg),
             joint_damping (N m s/rad), joint_stiffness_factor, rotor_inertia_factor, viscous_friction_factor,
             coulomb_friction_factor, coulomb_rate and stribeck_rate (rad/s), static_excess, backlash (rad),
             soft_stiffness, ripple_torque (N m), link_stiffness_factor and link_damping_factor. A factor is > 0, or >= 0

@@ -10,7 +10,7 @@ from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import one_of, sequence, value_error, vector
 from flexman_gym.envs.view import View
 from flexman_gym.simulation.batch import Batch
-from flexman_gym.simulation.parameters import PARAMETERS
+from flexman_gym.simulation.physical_parameters import PARAMETERS
 
 TIP_OPTIONS = {"start_tip": "start", "goal_tip": "goal_angles"}  # option with a tip position -> option it replaces
 INITIAL_POSTURES = 24  # number of initial postures of the inverse kinematics, in addition to the given one

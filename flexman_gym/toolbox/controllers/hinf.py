@@ -25,7 +25,7 @@ from flexman_gym.model.model import Model
 from flexman_gym.model.state_space import LinearModel, discretize
 from flexman_gym.model.statics import holding_torques, rest_state
 from flexman_gym.simulation.linearization import linearize
-from flexman_gym.simulation.parameters import ARM, PARAMETERS, UNCERTAIN
+from flexman_gym.simulation.physical_parameters import ARM, PARAMETERS, UNCERTAIN
 from flexman_gym.toolbox.controllers.lqr import CostWeights
 from flexman_gym.toolbox.controllers.observers.observer import MeasurementModel
 from flexman_gym.toolbox.controllers.observers.perturbed_models import UncertainParameters

@@ -24,7 +24,7 @@ from flexman_gym.model.model import Model, check_model
 from flexman_gym.model.state_space import LinearModel, discretize
 from flexman_gym.model.statics import holding_torques, rest_state
 from flexman_gym.simulation.linearization import linearize
-from flexman_gym.simulation.parameters import varied_model
+from flexman_gym.simulation.physical_parameters import varied_model
 from flexman_gym.toolbox.controllers.friction_compensation import FrictionCompensation
 from flexman_gym.toolbox.controllers.references.trajectories import TIMING_LAWS, plan_path, plan_slew
 

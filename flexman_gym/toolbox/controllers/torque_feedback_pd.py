@@ -10,7 +10,7 @@ from flexman_gym.common.arrays import Array, BoolArray, IntArray, pad_rows
 from flexman_gym.model.dynamics import mass_matrix
 from flexman_gym.model.friction import friction_coefficients, mean_friction_derivatives, mean_friction_torques
 from flexman_gym.model.statics import holding_torques
-from flexman_gym.simulation.parameters import varied_model
+from flexman_gym.simulation.physical_parameters import varied_model
 from flexman_gym.toolbox.controllers.references.trajectories import TIMING_LAWS
 
 

@@ -16,7 +16,7 @@ from flexman_gym.common.checks import value_error
 from flexman_gym.common.parallel import Workers, parallel_map
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
-from flexman_gym.envs.config.specification import make_plant
+from flexman_gym.envs.config.plant import make_plant
 from flexman_gym.envs.episodes import Episodes
 from flexman_gym.envs.vector_env import compile_kernels
 from flexman_gym.evaluation.agents import split_interface

@@ -20,9 +20,9 @@ from flexman_gym.agent.pd import PD
 from flexman_gym.common.arrays import Array, BoolArray, IntArray
 from flexman_gym.common.checks import MAX_SIZE, value_error
 from flexman_gym.common.files import write_atomically
+from flexman_gym.envs.config.base_and_mode import make_base_and_mode
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
-from flexman_gym.envs.config.specification import make_base_and_mode
 from flexman_gym.envs.episodes import goal_path
 from flexman_gym.envs.sensors import find_sensors
 from flexman_gym.evaluation.agents import AgentSpec, common_environment, find_agent

@@ -15,7 +15,7 @@ from flexman_gym.model.model import build_model
 from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.serialization import to_plain
 from flexman_gym.simulation.episode import Episode
-from flexman_gym.simulation.parameters import ARM, PARAMETERS, nominal_parameters
+from flexman_gym.simulation.physical_parameters import ARM, PARAMETERS, nominal_parameters
 from flexman_gym.toolbox.identification.least_squares import FreeParameters, LeastSquaresProblem
 from flexman_gym.toolbox.identification.measurement import Measurement, SimulatedResponse, output_unit
 from flexman_gym.toolbox.identification.ringing import KEYS, Ringing
@@ -204,7 +204,7 @@ class Fit:
     Attributes:
         arm: the arm with the fitted parameters.
         values: fitted values by the names passed to `fit`; a number, or (n,) with one value per joint or link. Units
-            are those of `simulation.parameters.PARAMETERS`; link_stiffness_factor is a factor on the moduli of the
+            are those of `physical_parameters.PARAMETERS`; link_stiffness_factor is a factor on the moduli of the
             initial arm.
         deviations: standard deviations of the values by the names passed to `fit`; 0 for fixed values. The standard
             deviations take the autocorrelation of the residuals into account.
@@ -303,7 +303,7 @@ def fit(
 
     Args:
         arm: initial arm.
-        free: names of free parameters from `simulation.parameters.PARAMETERS`; "joint_stiffness[1]" is the stiffness of
+        free: names of free parameters from `physical_parameters.PARAMETERS`; "joint_stiffness[1]" is the stiffness of
             the joint with index 1, counted from 0.
         frequencies: the k lowest frequencies (k,) at zero joint angles with locked motors, Hz, with a relative standard
             deviation of 0.5 %. For other postures, free motors or given standard deviations: a `Ringing` (natural

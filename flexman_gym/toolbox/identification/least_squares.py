@@ -11,7 +11,7 @@ from flexman_gym.common.progress import Progress
 from flexman_gym.model.dynamics import mass_matrix
 from flexman_gym.model.model import Model, build_model
 from flexman_gym.scene.arm import Arm
-from flexman_gym.simulation.parameters import (
+from flexman_gym.simulation.physical_parameters import (
     ARM,
     PARAMETERS,
     ScalarParameter,

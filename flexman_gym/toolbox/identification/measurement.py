@@ -374,7 +374,7 @@ class SimulatedResponse:
         Args:
             model: model of the arms.
             parameters: values (b,) or (b, n) of at least one parameter, by its name in
-                `simulation.parameters.PARAMETERS`.
+                `simulation.physical_parameters.PARAMETERS`.
 
         Returns:
             The c outputs of the measurement after their filters, (b, c, T); NaN for an arm whose simulation failed.

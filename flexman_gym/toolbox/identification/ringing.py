@@ -21,7 +21,7 @@ from flexman_gym.common.time_series import read_time_series
 from flexman_gym.model.dynamics import damping_matrix, mass_matrix, stiffness_matrix
 from flexman_gym.model.model import Model
 from flexman_gym.model.vibration import EquilibriumMatrices
-from flexman_gym.simulation.parameters import varied_model
+from flexman_gym.simulation.physical_parameters import varied_model
 from flexman_gym.toolbox.identification.ring_down import RingDown
 
 FREQUENCY_DEVIATION = 0.005  # relative standard deviation of a measured frequency

@@ -10,7 +10,7 @@ from flexman_gym.common.arrays import Array, BoolArray, IntArray
 from flexman_gym.common.checks import value_error
 from flexman_gym.model.model import Model
 from flexman_gym.simulation.external_simulator import ArmShapes, Stations
-from flexman_gym.simulation.parameters import varied_arm
+from flexman_gym.simulation.physical_parameters import varied_arm
 from flexman_gym.toolbox.interchange.mjcf import rigid_pieces, to_mjcf
 
 PIECES_PER_SECTION = 3  # rigid pieces; errors of the natural frequencies 1 to 6 of the catalog's arms are below 3 %

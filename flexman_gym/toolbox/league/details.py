@@ -10,7 +10,7 @@ from flexman_gym.envs.config.named_environments import DEFAULT_ID
 from flexman_gym.evaluation.agent_info import describe_agent, training_seconds
 from flexman_gym.evaluation.metrics import LIMIT_METRICS, MEDIAN, SHARE, Metric, task_metrics
 from flexman_gym.metrics import mean, median_interval, stratified_interval
-from flexman_gym.simulation.parameters import PARAMETERS
+from flexman_gym.simulation.physical_parameters import PARAMETERS
 from flexman_gym.toolbox.league.rows import DAMPING, TIME_RATIO, optimised_settling_times
 from flexman_gym.toolbox.league.scenarios import GIVEN, SWEEPS, find_scenario
 from flexman_gym.toolbox.league.standings import Interval, Standings

@@ -10,7 +10,7 @@ from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.tasks import Slew
 from flexman_gym.evaluation.rollouts import rollout
 from flexman_gym.model.model import build_model
-from flexman_gym.simulation.parameters import UNCERTAIN
+from flexman_gym.simulation.physical_parameters import UNCERTAIN
 from flexman_gym.toolbox.controllers.observers.perturbed_models import UncertainParameters
 
 STARTS, ASCENTS = 64, 4  # numbers of random points, and of the best of them from which ascents start

@@ -13,7 +13,7 @@ import numpy as np
 from flexman_gym.agent.controller import Plant
 from flexman_gym.common.arrays import Array, IntArray
 from flexman_gym.simulation.batch import Batch
-from flexman_gym.simulation.parameters import varied_constants
+from flexman_gym.simulation.physical_parameters import varied_constants
 
 BRAKE = 0.3  # fraction of the damping of the PD tuned for the arm; a stronger brake strains the links
 DECAY = 0.3  # s; time constant with which the slow brake takes back the torques, as a step of them twists the joints

@@ -29,8 +29,8 @@ from flexman_gym.scene.link import OTHER_AXIS, Link
 from flexman_gym.scene.scene import Scene
 from flexman_gym.simulation.integrator import default_step, with_prescribed
 from flexman_gym.simulation.methods import METHODS, FixedStepMethod, Method
-from flexman_gym.simulation.parameters import ARM, PARAMETERS, ScalarParameter, select_parts
 from flexman_gym.simulation.period_map import DIRECTIONS, TangentIntegrator
+from flexman_gym.simulation.physical_parameters import ARM, PARAMETERS, ScalarParameter, select_parts
 from flexman_gym.simulation.scene_simulation import initial_row, run_in_lanes, scene_settings
 
 INITIAL = {"initial_joint_angles": "rad", "initial_joint_rates": "rad/s"}  # initial conditions -> unit

@@ -41,8 +41,8 @@ from flexman_gym.kernels import layout
 from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.scene import Scene
 from flexman_gym.simulation.batch import Batch
-from flexman_gym.simulation.parameters import PARAMETERS, ScalarParameter, select_parts
 from flexman_gym.simulation.period_map import PeriodMap
+from flexman_gym.simulation.physical_parameters import PARAMETERS, ScalarParameter, select_parts
 from flexman_gym.toolbox.sensitivity import differentiation
 from flexman_gym.toolbox.sensitivity.differentiation import (
     INPUTS,

@@ -13,7 +13,7 @@ from flexman_gym.model.dynamics import frequencies
 from flexman_gym.model.model import Model, build_model
 from flexman_gym.scene import catalog
 from flexman_gym.simulation.linearization import linearize
-from flexman_gym.simulation.parameters import PARAMETERS, varied_model
+from flexman_gym.simulation.physical_parameters import PARAMETERS, varied_model
 
 COLUMNS = ("frequency (Hz)", "real (rad/V)", "imaginary (rad/V)")
 FITTED = ("link_stiffness_factor", "rotor_inertia", "viscous_friction", "link_damping")

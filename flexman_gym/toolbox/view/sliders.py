@@ -7,7 +7,7 @@ import numpy as np
 from flexman_gym.common.checks import finite, mapping, value_error
 from flexman_gym.common.plot_style import round_up
 from flexman_gym.envs.episodes import Episodes
-from flexman_gym.simulation.parameters import PARAMETERS
+from flexman_gym.simulation.physical_parameters import PARAMETERS
 
 
 class Slider(NamedTuple):

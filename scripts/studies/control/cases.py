@@ -11,7 +11,7 @@ import numpy as np
 from flexman_gym.agent.base_controllers import make_base
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
-from flexman_gym.envs.config.specification import make_plant
+from flexman_gym.envs.config.plant import make_plant
 from flexman_gym.envs.episodes import Episodes
 from flexman_gym.evaluation.agents import find_agent
 from flexman_gym.evaluation.metrics import METRICS

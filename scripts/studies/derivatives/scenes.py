@@ -11,7 +11,7 @@ import flexman_gym as fm
 from flexman_gym.common.arrays import Array
 from flexman_gym.model.model import Model, scene_model
 from flexman_gym.simulation.methods import Method
-from flexman_gym.simulation.parameters import nominal_parameters
+from flexman_gym.simulation.physical_parameters import nominal_parameters
 from flexman_gym.toolbox.sensitivity.differentiation import find_directions
 
 Z = (0.0, 0.0, 1.0)

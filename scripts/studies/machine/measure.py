@@ -11,7 +11,7 @@ import numpy as np
 import flexman_gym as fm
 from flexman_gym.model.dynamics import mass_matrix
 from flexman_gym.model.model import Model, build_model
-from flexman_gym.simulation.parameters import nominal_parameters
+from flexman_gym.simulation.physical_parameters import nominal_parameters
 from flexman_gym.toolbox.identification.least_squares import FreeParameters
 from flexman_gym.toolbox.identification.measurement import Filter, Measurement, SimulatedResponse
 

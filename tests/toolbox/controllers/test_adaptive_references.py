@@ -9,7 +9,7 @@ import flexman_gym as fm
 from flexman_gym.model.dynamics import acceleration
 from flexman_gym.model.friction import friction_torques, frictionless
 from flexman_gym.model.statics import rest_tips
-from flexman_gym.simulation.parameters import varied_model
+from flexman_gym.simulation.physical_parameters import varied_model
 from flexman_gym.toolbox.controllers.references.adaptive_references import (
     CANDIDATE_DURATIONS,
     PathReferences,

@@ -7,7 +7,7 @@ from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.model.linearization import LINEAR_SENSORS
 from flexman_gym.model.statics import rest_state
 from flexman_gym.simulation.batch import Batch
-from flexman_gym.simulation.parameters import UNCERTAIN
+from flexman_gym.simulation.physical_parameters import UNCERTAIN
 from flexman_gym.toolbox.controllers.observers.estimator import Estimator
 from flexman_gym.toolbox.controllers.observers.observer import MAX_LOST
 

@@ -12,7 +12,7 @@ from flexman_gym.agent.base_controllers import make_base
 from flexman_gym.agent.controller import EpisodeInfo, Plant
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
-from flexman_gym.envs.config.specification import make_plant
+from flexman_gym.envs.config.plant import make_plant
 from flexman_gym.evaluation.metrics import evaluate
 from flexman_gym.model.friction import frictionless
 from flexman_gym.simulation.linearization import linearize

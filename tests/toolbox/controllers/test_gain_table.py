@@ -9,7 +9,7 @@ import pytest
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.model.model import build_model
-from flexman_gym.simulation.parameters import varied_model
+from flexman_gym.simulation.physical_parameters import varied_model
 from flexman_gym.toolbox.controllers import lqr
 from flexman_gym.toolbox.controllers.lqr import LQR, POSTURE_SPACING, CostWeights, GainTable
 

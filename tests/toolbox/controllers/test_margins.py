@@ -8,7 +8,7 @@ from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.model.dynamics import mass_matrix
-from flexman_gym.simulation.parameters import varied_model
+from flexman_gym.simulation.physical_parameters import varied_model
 from flexman_gym.toolbox.controllers import tuning as optimisation
 from flexman_gym.toolbox.controllers.margins import (
     GAIN_FACTORS,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import flexman_gym as fm
-from flexman_gym.simulation.parameters import varied_model
+from flexman_gym.simulation.physical_parameters import varied_model
 from flexman_gym.toolbox.controllers.references.adaptive_references import PathReferences
 from flexman_gym.toolbox.controllers.references.trajectories import TIMING_LAWS, plan_path
 

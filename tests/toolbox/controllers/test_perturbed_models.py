@@ -7,7 +7,7 @@ import pytest
 
 import flexman_gym as fm
 from flexman_gym.simulation.batch import Batch
-from flexman_gym.simulation.parameters import varied_model
+from flexman_gym.simulation.physical_parameters import varied_model
 from flexman_gym.toolbox.controllers.observers.observer import MeasurementModel
 from flexman_gym.toolbox.controllers.observers.perturbed_models import (
     PARAMETER_STEP,

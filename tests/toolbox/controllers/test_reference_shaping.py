@@ -6,7 +6,8 @@ import pytest
 from flexman_gym.agent.agent import Agent
 from flexman_gym.agent.controller import EpisodeInfo
 from flexman_gym.agent.network import Network
-from flexman_gym.envs.config.specification import make_base_and_mode, make_plant
+from flexman_gym.envs.config.base_and_mode import make_base_and_mode
+from flexman_gym.envs.config.plant import make_plant
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.vector_env import FlexManVectorEnv
 from flexman_gym.model.statics import rest_state

@@ -5,7 +5,7 @@ import pytest
 from scipy.linalg import expm
 
 import flexman_gym as fm
-from flexman_gym.simulation.parameters import varied_model
+from flexman_gym.simulation.physical_parameters import varied_model
 from flexman_gym.toolbox.controllers.input_shaping.shapers import (
     SHAPERS,
     TIP_VIBRATION_LIMIT,

@@ -14,7 +14,7 @@ from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.vector_env import FlexManVectorEnv
 from flexman_gym.evaluation.rollouts import rollout
 from flexman_gym.metrics import settling_time
-from flexman_gym.simulation.parameters import varied_model
+from flexman_gym.simulation.physical_parameters import varied_model
 from flexman_gym.toolbox.controllers.lqr import HOLDING_FACTOR, LQR
 from flexman_gym.toolbox.controllers.observers.observer import Estimate
 from flexman_gym.toolbox.controllers.tracking import OutputFeedback, Tracking

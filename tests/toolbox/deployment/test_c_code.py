@@ -16,7 +16,7 @@ from flexman_gym.__main__ import main
 from flexman_gym.agent.controller import EpisodeInfo
 from flexman_gym.agent.network import Network
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.envs.config.specification import make_plant
+from flexman_gym.envs.config.plant import make_plant
 from flexman_gym.envs.sensors.sensor import Entry
 from flexman_gym.evaluation.agents import AgentSpec
 from flexman_gym.model.statics import rigid_holding_torques

@@ -5,7 +5,7 @@ import pytest
 
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
-from flexman_gym.envs.config.specification import make_plant
+from flexman_gym.envs.config.plant import make_plant
 from flexman_gym.model.linearization import LinearMeasurements
 from flexman_gym.model.statics import rest_state
 from flexman_gym.simulation.batch import Batch

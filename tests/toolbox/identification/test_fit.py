@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import flexman_gym as fm
-from flexman_gym.simulation.parameters import PARAMETERS, varied_arm, varied_model
+from flexman_gym.simulation.physical_parameters import PARAMETERS, varied_arm, varied_model
 from flexman_gym.toolbox.identification.measurement import SimulatedResponse
 
 from oracles.assertions import refusal

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import flexman_gym as fm
-from flexman_gym.envs.config import specification
+from flexman_gym.envs.config import base_and_mode
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.evaluation import policy_files
@@ -233,9 +233,9 @@ def test_friction_is_that_of_the_named_arm_and_no_other_arm_is_run_with_it(tmp_p
 @pytest.mark.parametrize(("end", "delay"), [("+given", (3, 3)), ("", (1, 1))])
 def test_a_controller_is_designed_for_the_delay_that_is_given_and_else_for_its_own(end, delay, monkeypatch):
     """Torques come 3 periods late in both; the observer of `lab-flexrrr` fits its own simulations at `delay`."""
-    plants, made = [], specification.make_action_mode
+    plants, made = [], base_and_mode.make_action_mode
     monkeypatch.setattr(
-        specification, "make_action_mode",
+        base_and_mode, "make_action_mode",
         lambda value, plant, base: plants.append(plant) or made(value, plant, base),
     )  # fmt: skip
 

@@ -13,7 +13,7 @@ from flexman_gym.agent.controller import EpisodeInfo
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
-from flexman_gym.envs.config.specification import make_plant
+from flexman_gym.envs.config.plant import make_plant
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.limits import Limits
 from flexman_gym.envs.vector_env import FlexManVectorEnv

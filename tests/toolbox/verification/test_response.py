@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import flexman_gym as fm
-from flexman_gym.simulation.parameters import PARAMETERS, varied_model
+from flexman_gym.simulation.physical_parameters import PARAMETERS, varied_model
 from flexman_gym.toolbox.verification import response as module
 
 HERTZ = np.geomspace(0.1, 40.0, 60)

@@ -16,7 +16,7 @@ from flexman_gym.common.checks import flag, non_negative, one_of, physical, posi
 from flexman_gym.model.model import Model, check_model
 from flexman_gym.model.statics import check_springs
 from flexman_gym.model.vibration import Eigenpairs, EquilibriumMatrices
-from flexman_gym.simulation.parameters import varied_model
+from flexman_gym.simulation.physical_parameters import varied_model
 
 RIGID_MODE_RATIO = 0.5  # fraction of the lowest frequency with held motors; slower modes are rigid-body motion
 RATIO_ROUNDING = 1e-9  # dimensionless; smaller damping ratios are set to 0

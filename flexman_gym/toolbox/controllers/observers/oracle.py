@@ -6,7 +6,7 @@ import numpy as np
 
 from flexman_gym.agent.controller import EpisodeInfo, Plant, Readings
 from flexman_gym.common.arrays import Array, BoolArray, IntArray, pad_rows
-from flexman_gym.simulation.parameters import PARAMETERS, UNCERTAIN
+from flexman_gym.simulation.physical_parameters import PARAMETERS, UNCERTAIN
 from flexman_gym.toolbox.controllers.internal_model import DelayCompensation
 from flexman_gym.toolbox.controllers.observers.observer import Estimate
 from flexman_gym.toolbox.controllers.observers.perturbed_models import UncertainParameters

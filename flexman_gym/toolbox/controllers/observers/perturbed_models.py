@@ -9,7 +9,7 @@ from flexman_gym.agent.controller import Plant
 from flexman_gym.common.arrays import Array, BoolArray, IntArray, row_dots
 from flexman_gym.common.checks import mapping, number_array, value_error
 from flexman_gym.model.model import Model
-from flexman_gym.simulation.parameters import ARM, PARAMETERS, UNCERTAIN, varied_model
+from flexman_gym.simulation.physical_parameters import ARM, PARAMETERS, UNCERTAIN, varied_model
 from flexman_gym.toolbox.controllers.internal_model import InternalModels
 
 PARAMETER_STEP = 0.0003  # fraction of a range; perturbation; 0.03 would shift the phase by a radian in 2 s
@@ -37,7 +37,7 @@ class UncertainParameters:
 
     Args:
         model: model of the arm.
-        ranges: name -> (low, high), with names as in `simulation.parameters.UNCERTAIN`: in the unit of the parameter,
+        ranges: name -> (low, high), with names as in `physical_parameters.UNCERTAIN`: in the unit of the parameter,
             or as factors of the nominal value, for each joint or link.
 
     Attributes:
@@ -90,7 +90,7 @@ class UncertainParameters:
         return result
 
     def varied_model(self, model: Model, theta: Array) -> Model:
-        """Return a model with the parameters of a vector (p,), see `simulation.parameters.varied_model`."""
+        """Return a model with the parameters of a vector (p,), see `physical_parameters.varied_model`."""
         return varied_model(model, **{name: rows[0] for name, rows in self.values(model, theta[None]).items()})
 
     def deviations(self, deviations: Array) -> dict[str, Array]:

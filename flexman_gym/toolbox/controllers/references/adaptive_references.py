@@ -9,7 +9,7 @@ from flexman_gym.common.arrays import Array, IntArray, pad_rows
 from flexman_gym.model.friction import friction_torques
 from flexman_gym.model.model import Model
 from flexman_gym.model.statics import holding_torques, rest_state
-from flexman_gym.simulation.parameters import varied_model
+from flexman_gym.simulation.physical_parameters import varied_model
 from flexman_gym.toolbox.controllers.friction_compensation import estimated_friction
 from flexman_gym.toolbox.controllers.references.trajectories import (
     DeflectionCompensation,

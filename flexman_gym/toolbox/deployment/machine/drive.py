@@ -16,7 +16,7 @@ from flexman_gym.common.arrays import Array, IntArray
 from flexman_gym.common.checks import positive, value_error, whole_number
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
-from flexman_gym.envs.config.specification import make_plant
+from flexman_gym.envs.config.plant import make_plant
 from flexman_gym.envs.env import MAX_SEED
 from flexman_gym.envs.episodes import Episodes
 from flexman_gym.envs.sensors import ModelState, find_sensors, measured_names

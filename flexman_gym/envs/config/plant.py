@@ -1,20 +1,12 @@
-"""Specification for controller design: plant model, limits, delays, uncertainty and sensor noise of an environment."""
-
-import warnings
+"""Plant of an environment for controller design: model, limits, delays, uncertainty and sensor noise."""
 
 import numpy as np
 
-from flexman_gym.agent.action_modes import ActionMode, make_action_mode
-from flexman_gym.agent.base_controllers import make_base
-from flexman_gym.agent.controller import Controller, Plant
-from flexman_gym.agent.pd import PD
+from flexman_gym.agent.controller import Plant
 from flexman_gym.common.arrays import Array
-from flexman_gym.common.checks import warn_caller
-from flexman_gym.common.registry import load_entry
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.envs.config.randomisation import Randomisation
-from flexman_gym.envs.limits import MODEL_LIMITS, UNITS, Limits
 from flexman_gym.envs.sensors.instrument import Instrument
 from flexman_gym.envs.sensors.sensor import measurement_ranges
 from flexman_gym.envs.sensors.sensor_array import measured_names
@@ -22,13 +14,13 @@ from flexman_gym.envs.view import View
 from flexman_gym.model.model import Model
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.integrator import default_step
-from flexman_gym.simulation.parameters import PARAMETERS, UNMODELLED
+from flexman_gym.simulation.physical_parameters import PARAMETERS, UNMODELLED
 
 ROUNDING = 12.0**-0.5  # standard deviation of a rounding error, as a fraction of the quantisation step
 
 
 def make_plant(configuration: Configuration, model: Model) -> Plant:
-    """Return the specification of an environment for the design of a controller.
+    """Return the plant of an environment, from which a controller is designed.
 
     Args:
         configuration: configuration of the environment.
@@ -53,39 +45,6 @@ def make_plant(configuration: Configuration, model: Model) -> Plant:
         lambda: _measurement_errors(configuration, model),
         configuration.drive_bandwidth,
     )
-
-
-def make_base_and_mode(configuration: Configuration, model: Model) -> tuple[Controller | None, ActionMode]:
-    """Return base controller (or None) and action mode of an environment, designed from a model of its arm.
-
-    A UserWarning is issued for a PD controller whose sampled loop is unstable with the largest delay.
-    """
-    base, plant = configuration.base, make_plant(configuration, model)
-    if isinstance(base, str | dict):
-        base = make_base(base, plant)
-        if isinstance(base, PD) and (text := base.unstable(model, plant.period, configuration.max_delay)):
-            warnings.warn(text, stacklevel=2)
-    return base, make_action_mode(configuration.actions, plant, base)
-
-
-def make_safe(configuration: Configuration, model: Model, base: Controller | None, mode: ActionMode) -> ActionMode:
-    """Return an action mode with the safety filter of the setting `safety`; without the setting the mode itself.
-
-    A UserWarning is issued if no limit is tighter than those of the model, which do not protect the arm.
-    """
-    if not configuration.safety:
-        return mode
-    limits, usual = configuration.limits, NAMED_ENVIRONMENTS[configuration.id].limits
-    wide = {name: min(getattr(usual, name), getattr(Limits, name)) for name in MODEL_LIMITS}
-    if not limits.recorded and all(getattr(limits, name) >= value for name, value in wide.items()):
-        kept = ", ".join(f"{name} {getattr(limits, name):g} {UNITS[name]}" for name in MODEL_LIMITS)
-        warn_caller(
-            f"safety: the filter keeps only the wide limits of the model ({kept}); give limits of strain, "
-            "spring_torque or workspace, such as limits={'strain': 1e-4}"
-        )
-    make_safe_mode = load_entry("flexman_gym.toolbox.safety.safety_filter:make_safe_mode")
-    safe: ActionMode = make_safe_mode(mode, make_plant(configuration, model), limits.predicted(model), base)
-    return safe
 
 
 def _measurement_errors(configuration: Configuration, model: Model) -> dict[str, Array]:

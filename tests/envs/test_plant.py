@@ -5,11 +5,11 @@ import pytest
 
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
-from flexman_gym.envs.config.specification import make_plant
+from flexman_gym.envs.config.plant import make_plant
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.vector_env import FlexManVectorEnv
 from flexman_gym.simulation.integrator import find_method
-from flexman_gym.simulation.parameters import UNCERTAIN, UNMODELLED
+from flexman_gym.simulation.physical_parameters import UNCERTAIN, UNMODELLED
 
 SMALL = {"elements": 1, "modes": 1}
 RANDOM = {

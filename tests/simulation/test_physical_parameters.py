@@ -8,7 +8,7 @@ import pytest
 import flexman_gym as fm
 from flexman_gym.kernels import layout
 from flexman_gym.simulation.batch import Batch
-from flexman_gym.simulation.parameters import varied_model
+from flexman_gym.simulation.physical_parameters import varied_model
 
 from oracles.chains import laden_rrr
 from oracles.random_inputs import drives, states_of
