@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from flexman_gym.commands import CommandLine, output_file
-from flexman_gym.common.checks import finite, non_negative, value_error, whole_number
+from flexman_gym.common.checks import finite, value_error, whole_number
 from flexman_gym.common.files import write_file
 
 if TYPE_CHECKING:
@@ -30,7 +30,6 @@ if TYPE_CHECKING:
 DEFAULT_POSTURES, MAX_POSTURES = 8, 10_000  # number of postures without --postures; largest number
 MAX_ANGLE = 1.2  # rad; largest joint angle of random postures, for an arm without a task
 MAX_FREQUENCY = 25.0  # Hz; highest frequency in the model of an arm without an environment
-TINY_DAMPING = 1e-6  # damping ratio added to that of an arm, which may be undamped
 SHOWN_POINTS = 20_000  # most points of a line in a plot
 SHOWN_CYCLES = 10.0  # cycles of the first mode in a plot after the stop
 MOTOR_STATES = ("held", "free")
@@ -148,14 +147,9 @@ def _number(text: str) -> object:
 
 
 def _arm_ringing(options: argparse.Namespace, motion: "Motion") -> "Ringing":
-    """Return the modes of an arm at the end of a motion, with deviations that cover the range of payloads.
-
-    A second mode belongs to them if it moves the tip by more than the allowed residual of the first one.
-    """
-    from flexman_gym.simulation.physical_parameters import varied_model
-    from flexman_gym.toolbox.controllers.input_shaping.shapers import excited_modes
-    from flexman_gym.toolbox.identification.ring_down import MAX_DAMPING
-    from flexman_gym.toolbox.identification.ringing import DAMPING_DEVIATION, FREQUENCY_DEVIATION, Ringing
+    """Return the modes of an arm at the end of a motion."""
+    from flexman_gym.common.files import naming
+    from flexman_gym.toolbox.controllers.input_shaping.predicted_ringing import predicted_ringing
 
     model, posture = _find_model(options.subject, 1)[0], motion.positions[-1]
     if len(posture) != model.n_joints:
@@ -163,23 +157,8 @@ def _arm_ringing(options: argparse.Namespace, motion: "Motion") -> "Ringing":
         raise value_error(
             options.trajectory.name, columns, f"{model.n_joints}, one for each joint of {options.subject}"
         )
-    low, high = options.payload or 2 * [float(model.constants.payload_mass[0])]
-    found = []
-    for mass in (0.5 * (low + high), low, high):
-        loaded = varied_model(model, payload_mass=non_negative("payload_mass", mass, "kg"))
-        modes = excited_modes(loaded, posture, servo=options.servo)
-        found.append(modes[modes[:, 1] < MAX_DAMPING][:2])
-    count = min(map(len, found))
-    if count == 2 and found[0][1, 2] < options.residual * found[0][0, 2]:
-        count = 1
-    if not count:
-        raise ValueError(f"{options.subject}: the motors excite no vibration; there is nothing to shape")
-    values = np.array([each[:count, :2] for each in found])
-    values[..., 1] += TINY_DAMPING
-    values[..., 0] *= np.sqrt(1.0 - values[..., 1] ** 2)
-    ranges = np.hypot(np.ptp(values, axis=0) / (2.0 * values[0]), [FREQUENCY_DEVIATION, DAMPING_DEVIATION])
-    frequencies, damping = values[0].T
-    return Ringing(frequencies, damping, posture, deviation=ranges[:, 0], damping_deviation=ranges[:, 1])
+    with naming(options.subject):
+        return predicted_ringing(model, posture, options.payload, options.residual, options.servo)
 
 
 def _print_modes(ringing: "Ringing") -> int:
