@@ -115,9 +115,10 @@ def _rotor_constants(model: Model, given: Mapping[str, Array]) -> dict[str, Arra
     return {"rotor_inertia": inertia, "carried_inertia": inertia * model.choice.spinning_rotors}
 
 
-def _joint_constant(name: str, unit: str, **more: Any) -> _Parameter:
-    """Return the parameter of joints that is the constant with this name."""
-    nominal, constants = lambda model: getattr(model.constants, name), lambda model, given: {name: given[name]}
+def _joint_constant(name: str, unit: str, constant: str = "", **more: Any) -> _Parameter:
+    """Return the parameter of joints that is a constant, by default that of the same name."""
+    constant = constant or name
+    nominal, constants = lambda model: getattr(model.constants, constant), lambda model, given: {constant: given[name]}
     return _Parameter(unit, JOINT, nominal, constants, **more)
 
 
@@ -185,7 +186,7 @@ PARAMETERS: dict[str, _Parameter] = {
         "kg m^2", JOINT, lambda model: model.constants.rotor_inertia, _rotor_constants, factor=True,
         positive_unless="rigid",
     ),
-    "viscous_friction": _joint_constant("rotor_damping", "N m s/rad", factor=True),
+    "viscous_friction": _joint_constant("viscous_friction", "N m s/rad", "rotor_damping", factor=True),
     "coulomb_friction": _joint_constant(
         "coulomb_friction", "N m", factor=True, lacking="without Coulomb friction",
     ),

@@ -8,6 +8,7 @@ import numpy as np
 from flexman_gym.agent.controller import Plant
 from flexman_gym.common.arrays import Array, BoolArray, IntArray, row_dots
 from flexman_gym.common.checks import mapping, number_array, value_error
+from flexman_gym.model.friction import friction_coefficients
 from flexman_gym.model.model import Model
 from flexman_gym.simulation.physical_parameters import ARM, PARAMETERS, UNCERTAIN, varied_model
 from flexman_gym.toolbox.controllers.internal_model import InternalModels
@@ -22,12 +23,12 @@ KNOWN_RANGE = 1e-3  # fraction of the value, or of 1 for the value 0; assumed wi
 
 def uncertain_ranges(plant: Plant) -> Mapping[str, tuple[float, float]]:
     """Return the ranges of the uncertain parameters of a plant, with assumed ranges of joint stiffness and friction."""
-    constants = plant.model.constants
+    viscous, coulomb = friction_coefficients(plant.model)
     assumed = {"joint_stiffness_factor": STIFFNESS_RANGE}
     assumed |= {
         f"{name}_factor": FRICTION_RANGE
-        for name in ("viscous_friction", "coulomb_friction")
-        if getattr(constants, name).any()
+        for name, values in (("viscous_friction", viscous), ("coulomb_friction", coulomb))
+        if values.any()
     }
     return assumed | dict(plant.unknown)
 
