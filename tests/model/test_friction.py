@@ -8,8 +8,6 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 import flexman_gym as fm
-from flexman_gym.kernels.forces import secant_friction
-from flexman_gym.kernels.layout import make_work
 from flexman_gym.model.friction import (
     coulomb_slopes,
     coulomb_torques,
@@ -40,15 +38,6 @@ def test_torques_equal_those_of_the_kernels(first, second):
     change = fm.acceleration(smooth, state, np.zeros(2)) - fm.acceleration(own, state, np.zeros(2))
     expected = own.constants.rotor_damping * rates + coulomb_torques(own, rates)
     assert fm.mass_matrix(own, state) @ change == pytest.approx(expected, abs=1e-10)
-
-
-@given(first=RATES, second=RATES)
-def test_secants_of_the_kernels_times_the_rates_equal_the_torques(first, second):
-    own, rates = sticking(), np.array([first, second])
-    work = make_work(own.constants)
-    secant_friction(own.constants, work, rates)
-    expected = own.constants.rotor_damping * rates + coulomb_torques(own, rates)
-    assert work.friction_slope * rates == pytest.approx(expected, rel=1e-12, abs=1e-15)
 
 
 @pytest.mark.parametrize("rate", [0.0, 0.02, -0.1, 0.5, -3.0])

@@ -12,7 +12,7 @@ STIFFNESS = 90.0
 
 def one_link(payload=0.0):
     """Return a rigid link behind an elastic joint, and its moment of inertia about the joint, kg m^2."""
-    arm = fm.catalog.one_link(joint_stiffness=STIFFNESS)
+    arm = fm.catalog.one_link(rotor_inertia=0.4, joint_stiffness=STIFFNESS)
     link = arm.links[0]
     inertia = link.mass * link.length**2 / 3 + link.density * link.length * link.second_moment_z
     return fm.build_model(arm, flexible_links=False), inertia + payload * link.length**2
