@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from flexman_gym.common.arrays import Array, BoolArray
+from flexman_gym.common.arrays import BoolArray
 from flexman_gym.kernels import control_period as kernels
 
 if TYPE_CHECKING:
@@ -82,7 +82,7 @@ def _charge(episodes: "Episodes", moving: BoolArray) -> int:
     if not limits.recorded:
         return 0
     episodes.excess = limits.excess(episodes.view)
-    beyond: Array = moving & (episodes.excess > 0.0)
+    beyond: BoolArray = moving & (episodes.excess > 0.0)
     if limits.on_violation != "record":
         episodes.cost += beyond
     if limits.on_violation != "end":
