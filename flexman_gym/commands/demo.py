@@ -17,8 +17,8 @@ from flexman_agents.training import train
 from flexman_gym import draw
 from flexman_gym.commands import CommandLine
 from flexman_gym.evaluation.agents import common_environment, find_agent
-from flexman_gym.evaluation.metrics import metrics_table
 from flexman_gym.evaluation.rollouts import TEST_SEEDS, rollout
+from flexman_gym.evaluation.tables import metrics_table
 from flexman_gym.model.model import scene_model
 from flexman_gym.toolbox.view.trajectories import draw_episodes
 

@@ -17,8 +17,8 @@ def _run(options: argparse.Namespace) -> int:
     """Print one table of all agents; return 0."""
     from flexman_gym.envs.config.configuration import Configuration
     from flexman_gym.evaluation.agents import common_environment
-    from flexman_gym.evaluation.metrics import metrics_table
     from flexman_gym.evaluation.rollouts import rollout, save_rollouts
+    from flexman_gym.evaluation.tables import metrics_table
 
     if options.episodes < 1:
         options.parser.error(f"--episodes: {options.episodes} is not allowed; give a whole number > 0")

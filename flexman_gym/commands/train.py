@@ -149,7 +149,7 @@ def _print_table(folders: Sequence[str], workers: "Workers") -> None:
     """Print the metrics of the runs in the test episodes, and the metrics over all runs."""
     from flexman_gym.common.parallel import parallel_map
     from flexman_gym.evaluation.agents import common_environment, find_agent
-    from flexman_gym.evaluation.metrics import metrics_table
+    from flexman_gym.evaluation.tables import metrics_table
 
     environment = common_environment([find_agent(folder) for folder in folders])
     results = parallel_map(_test_records, [(folder, environment) for folder in folders], workers)

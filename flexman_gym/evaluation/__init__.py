@@ -6,8 +6,9 @@ from flexman_gym.common.lazy import lazy_names
 
 if TYPE_CHECKING:
     from flexman_gym.evaluation.agents import BASELINES, AgentSpec, find_agent
-    from flexman_gym.evaluation.metrics import METRICS, Metric, evaluate, metrics_table
+    from flexman_gym.evaluation.metrics import METRICS, Metric, evaluate
     from flexman_gym.evaluation.rollouts import EpisodeRecord, Rollout, rollout
+    from flexman_gym.evaluation.tables import metrics_table
 
 __all__ = [
     "BASELINES",

@@ -1,22 +1,19 @@
 """Agents to be evaluated: baselines, shipped policies, training runs, controllers, and objects with `predict`."""
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from inspect import signature
 from pathlib import Path
-from time import process_time
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from flexman_gym.agent.action_modes import ActionMode
 from flexman_gym.agent.agent import Law
 from flexman_gym.agent.base_controllers import BASES, parse_kind
 from flexman_gym.agent.controller import Controller, EpisodeInfo, Readings
-from flexman_gym.agent.mode_wrapper import ModeWrapper
 from flexman_gym.agent.network import Network
 from flexman_gym.common.arrays import Array, BoolArray, IntArray
 from flexman_gym.common.checks import unknown_name, value_error
@@ -26,6 +23,9 @@ from flexman_gym.envs.config.base_and_mode import make_base_and_mode
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.evaluation.policy_files import METADATA, POLICIES, policy_folder, read_policy
+
+if TYPE_CHECKING:
+    from flexman_gym.evaluation.action_clock import ActionClock
 
 INTERFACE = ("base", "action_repeat", "sensors", "history", "actions")  # settings that belong to the agent
 SIMPLE_AGENTS = {"zero": "no torque at all", "random": "random torques"}  # agents without controller -> description
@@ -113,6 +113,8 @@ class AgentSpec:
             return self, None
         designed = self.designed(environment)
         assert designed.interface is not None
+        from flexman_gym.evaluation.action_clock import ActionClock, TimedMode
+
         clock = ActionClock()
         mode = TimedMode(designed.interface["actions"], clock)
         law: Law | None = clock.timed(designed.law) if designed.law else None
@@ -226,53 +228,6 @@ def split_interface(environment: Configuration) -> tuple[Configuration, dict[str
     if environment.base == "pd":
         interface["gains"] = environment.to_plain(strict=False)["gains"]
     return environment.without(INTERFACE), interface
-
-
-class ActionClock:
-    """CPU time of an agent: of its actions with its policy function, and of the starts of its episodes, s."""
-
-    def __init__(self) -> None:
-        self.action_seconds = self.start_seconds = 0.0
-
-    def __deepcopy__(self, memo: object) -> Self:
-        return self  # a rollout copies its agent, but all copies add to the same times
-
-    def timed(self, function: Callable[..., Any], name: str = "action_seconds") -> Callable[..., Any]:
-        """Return a function whose CPU time is added to the attribute `name`."""
-
-        def call(*arguments: Any) -> Any:
-            start = process_time()
-            result = function(*arguments)
-            setattr(self, name, getattr(self, name) + process_time() - start)
-            return result
-
-        return call
-
-
-class TimedMode(ModeWrapper):
-    """Action mode that measures the CPU time of its calls.
-
-    Args:
-        mode: action mode of the agent, with its base controller.
-        clock: clock to which the times are added.
-    """
-
-    def __init__(self, mode: ActionMode, clock: ActionClock) -> None:
-        super().__init__(mode)
-        self._clock = clock
-
-    def __getattr__(self, name: str) -> Any:
-        member = super().__getattr__(name)
-        return self._clock.timed(member) if callable(member) else member
-
-    def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
-        """Start new episodes; arguments as in `Controller.reset`."""
-        self._clock.timed(self._mode.reset, "start_seconds")(arms, episode, count)
-
-    def act(self, actions: Array, readings: Readings, applied: Array, active: BoolArray) -> Array:
-        """Return the torques (b, n) of the other mode; arguments as in `ActionMode.act`."""
-        result: Array = self._clock.timed(self._mode.act)(actions, readings, applied, active)
-        return result
 
 
 def common_environment(

@@ -1,6 +1,6 @@
-"""Metrics of episodes, their aggregates over episodes (mean, median or share), and a table of agents."""
+"""Metrics of episodes, and their aggregates over episodes (mean, median or share)."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,7 +23,6 @@ from flexman_gym.metrics import (
     settling_time,
     upper_median,
 )
-from flexman_gym.simulation.methods import DEFAULT_METHOD
 
 MEAN, MEDIAN, SHARE, LARGEST = "mean", "median", "share", "largest"
 
@@ -125,7 +124,7 @@ def task_metrics(task: Any) -> tuple[Metric, ...]:
     return tuple(metric for name, metric in METRICS.items() if metric.for_all_tasks or name in checked)
 
 
-def _limit_metrics(record: EpisodeRecord) -> tuple[Metric, ...]:
+def limit_metrics(record: EpisodeRecord) -> tuple[Metric, ...]:
     """Return the metrics of recorded limits and of the safety filter that apply to a record."""
     limits = () if record.excess is None else LIMIT_METRICS
     return limits if record.changes is None else (*limits, SAFETY_METRIC)
@@ -166,67 +165,5 @@ def evaluate(
         True
     """
     records = rollout(agent, environment, seeds, safety=safety).records
-    metrics = (*METRICS.values(), *_limit_metrics(records[0]))
+    metrics = (*METRICS.values(), *limit_metrics(records[0]))
     return {metric.name: metric.evaluate(records) for metric in metrics}
-
-
-MAX_NAME_LENGTH = 100  # characters of a name in the table
-CAPTION = "medians with 95 % bootstrap intervals; shares, reward, roughness and effort are means"
-LIMIT_CAPTION = "violations: episodes of 1000; excess: largest of all, as a fraction of the limit; time: mean"
-ALL_SEEDS = "all seeds"  # name of the row over all training runs
-
-
-def metrics_table(
-    results: Mapping[str, Sequence[EpisodeRecord]], environment: Configuration, all_seeds: bool = False
-) -> str:
-    """Return a table, as text, with the metrics of the task and one row for each agent.
-
-    Args:
-        results: name of an agent -> records of its episodes; the seeds are the same for all agents.
-        environment: environment of the episodes.
-        all_seeds: True if the agents are training runs that differ in the seed of the training. A last row then has the
-            metrics over all runs, with intervals that contain the spread between the runs, see `median_interval`.
-
-    Returns:
-        Lines of text: title, headers, one row for each agent, and a caption.
-    """
-    first = next(iter(results.values()))
-    columns = (*task_metrics(environment.task), *_limit_metrics(first[0]))
-    settings = environment.settings.keys() - ({"method"} if environment.method == DEFAULT_METHOD else set())
-    changes = ", ".join(sorted(settings)) or "as it is"
-    title = f"{len(first)} episodes of {environment.id} ({changes}), the same for all"
-    within = f"in {1e3 * first[0].band:.3g} mm"
-    headers = ["agent", *(within if metric.name == "settled" else metric.header for metric in columns)]
-    values = {metric: [metric.values(records) for records in results.values()] for metric in columns}
-    rows = [[_shorten(name), *(_cell(metric, values[metric][i]) for metric in columns)]
-            for i, name in enumerate(results)]  # fmt: skip
-    caption = [CAPTION, *[LIMIT_CAPTION] * (first[0].excess is not None)]
-    if all_seeds:
-        rows.append([ALL_SEEDS, *(_cell(metric, np.array(values[metric])) for metric in columns)])
-        sampled = f"{len(results)} training runs and episodes"
-        caption.append(f"{ALL_SEEDS}: intervals of a hierarchical bootstrap over {sampled}")
-    widths = [max(map(len, column)) for column in zip(headers, *rows, strict=True)]
-    return "\n".join([title, *(_line(row, widths) for row in (headers, *rows)), *caption])
-
-
-def _cell(metric: Metric, values: Array) -> str:
-    """Return the aggregate of the numbers (N,) of N episodes, or (S, N) of S training runs, as text."""
-    if metric.statistic == MEDIAN:
-        middle, low, high = (
-            f"{metric.scale * value:.3g}" if np.isfinite(value) else "-" for value in median_interval(values)
-        )
-        return f"{middle} ({low} to {high})"
-    result = metric.aggregate(values)
-    if metric.statistic == SHARE:
-        return f"{result:.0%}"
-    return f"{result:.1f}" if abs(result) >= 10.0 else f"{result:.3f}"
-
-
-def _shorten(name: str) -> str:
-    return name if len(name) <= MAX_NAME_LENGTH else f"...{name[3 - MAX_NAME_LENGTH :]}"
-
-
-def _line(cells: Sequence[str], widths: Sequence[int]) -> str:
-    """Return a line of the table, with the first cell aligned to the left and the rest to the right."""
-    numbers = [f"{cell:>{width}}" for cell, width in zip(cells[1:], widths[1:], strict=True)]
-    return "  ".join([f"{cells[0]:<{widths[0]}}", *numbers]).rstrip()

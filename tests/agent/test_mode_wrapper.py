@@ -11,7 +11,8 @@ from flexman_gym.agent.action_modes import ACTIONS, OPTIONAL_MEMBERS, ActionMode
 from flexman_gym.agent.mode_wrapper import ModeWrapper
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.env import FlexManEnv
-from flexman_gym.evaluation.agents import ActionClock, TimedMode, find_agent
+from flexman_gym.evaluation.action_clock import ActionClock, TimedMode
+from flexman_gym.evaluation.agents import find_agent
 from flexman_gym.evaluation.rollouts import RolloutLoop, rollout
 from flexman_gym.toolbox.controllers.input_shaping.shaped_controller import InputShapedController
 from flexman_gym.toolbox.safety.safety_filter import SafeMode

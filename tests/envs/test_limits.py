@@ -9,8 +9,9 @@ import flexman_gym as fm
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.vector_env import FlexManVectorEnv
-from flexman_gym.evaluation.metrics import LIMIT_METRICS, evaluate, metrics_table
+from flexman_gym.evaluation.metrics import LIMIT_METRICS, evaluate
 from flexman_gym.evaluation.rollouts import SELECTION_SEEDS
+from flexman_gym.evaluation.tables import metrics_table
 from flexman_gym.simulation.physical_parameters import varied_model
 
 from oracles.assertions import refusal, same, same_alone_and_among_others, same_side_by_side

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.evaluation.metrics import METRICS, evaluate, metrics_table
+from flexman_gym.evaluation.metrics import METRICS, evaluate
 from flexman_gym.evaluation.rollouts import EpisodeRecord, rollout
+from flexman_gym.evaluation.tables import metrics_table
 
 from oracles.records import record
 

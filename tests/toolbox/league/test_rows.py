@@ -12,7 +12,8 @@ import pytest
 import flexman_gym.toolbox.league.rows as league
 from flexman_gym.agent.base_controllers import BASES
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.evaluation import agents as agent_module
+from flexman_gym.evaluation import action_clock
+from flexman_gym.evaluation.action_clock import ActionClock, TimedMode
 from flexman_gym.evaluation.agent_info import check_seeds_unseen, describe_agent, training_seconds
 from flexman_gym.evaluation.agents import BASELINES, AgentSpec
 from flexman_gym.evaluation.metrics import LIMIT_METRICS, METRICS
@@ -368,9 +369,9 @@ def test_a_clock_keeps_starts_and_actions_apart(monkeypatch):
         return np.zeros((1, 1))
 
     slow = SimpleNamespace(sensors=(), joints=1, names=(), reset=lambda *_: passing(1.0), act=lambda *_: passing(1e-3))
-    monkeypatch.setattr(agent_module, "process_time", lambda: clock[0])
-    times = agent_module.ActionClock()
-    timed = agent_module.TimedMode(slow, times)
+    monkeypatch.setattr(action_clock, "process_time", lambda: clock[0])
+    times = ActionClock()
+    timed = TimedMode(slow, times)
     for _ in range(2):
         timed.reset(None, None, 1)
         passing(100.0)
