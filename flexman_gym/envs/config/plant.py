@@ -1,5 +1,7 @@
 """Plant of an environment for controller design: model, limits, delays, uncertainty and sensor noise."""
 
+from typing import Any
+
 import numpy as np
 
 from flexman_gym.agent.controller import Plant
@@ -8,7 +10,7 @@ from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.envs.config.randomisation import Randomisation
 from flexman_gym.envs.sensors.instrument import Instrument
-from flexman_gym.envs.sensors.sensor import measurement_ranges
+from flexman_gym.envs.sensors.sensor import column_units, measurement_ranges
 from flexman_gym.envs.sensors.sensor_array import measured_names
 from flexman_gym.envs.view import View
 from flexman_gym.model.model import Model
@@ -52,14 +54,19 @@ def _measurement_errors(configuration: Configuration, model: Model) -> dict[str,
     drawn = configuration.disturbances.ranges if configuration.disturbances else {}
     noise, bias = drawn.get("sensor_noise", (0.0, 0.0))[1], max(map(abs, drawn.get("sensor_bias", (0.0, 0.0))))
     gain = max(abs(1.0 - factor) for factor in drawn.get("gauge_gain", (1.0, 1.0)))
-    ranges = measurement_ranges(View(Batch(model)), configuration.limits)
-    deviations, biases = dict.fromkeys(ranges, noise), dict.fromkeys(ranges, bias)
+    view = View(Batch(model))
+    ranges = measurement_ranges(view, configuration.limits)
+    deviations: dict[str, Any] = dict.fromkeys(ranges, noise)
+    biases: dict[str, Any] = dict.fromkeys(ranges, bias)
     for sensor in configuration.sensors:
         if isinstance(sensor, Instrument):
-            own = np.hypot(sensor.flaws.noise, ROUNDING * sensor.flaws.quantisation)
             for name in measured_names([sensor]):
-                deviations[name] = max(deviations[name], float(np.hypot(noise, own)))
-                biases[name] = max(biases[name], bias + sensor.flaws.bias)
+                place = column_units(view, name), ranges[name]
+                own, steps, largest = (
+                    sensor.flaws.fraction(each, *place) for each in ("noise", "quantisation", "bias")
+                )
+                deviations[name] = np.maximum(deviations[name], np.hypot(noise, np.hypot(own, ROUNDING * steps)))
+                biases[name] = np.maximum(biases[name], bias + largest)
     gains = {name: np.full_like(span, gain if name == "root_strains" else 0.0) for name, span in ranges.items()}
     return {
         name: np.array([span, deviations[name] * span, biases[name] * span, gains[name]])

@@ -6,6 +6,7 @@ from typing import Any
 
 from flexman_gym.common.checks import mapping, one_of, text, value_error
 from flexman_gym.common.registry import Registry
+from flexman_gym.envs.sensors.flaws import FLAWS, Flaws
 from flexman_gym.envs.sensors.ideal import (
     FineScale,
     FullState,
@@ -15,7 +16,7 @@ from flexman_gym.envs.sensors.ideal import (
     Quantities,
     ServoErrors,
 )
-from flexman_gym.envs.sensors.instrument import FLAWS, Flaws, Instrument
+from flexman_gym.envs.sensors.instrument import Instrument
 from flexman_gym.envs.sensors.sensor import Entry, Sensor
 from flexman_gym.envs.sensors.sensor_array import SensorArray, measured_names
 from flexman_gym.model.linearization import LINEAR_SENSORS

@@ -1,60 +1,17 @@
 """Instrument: a sensor with noise, bias, quantisation, delay, slow sampling or dropped samples."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
 from typing import Any, Self
 
 import numpy as np
 
 from flexman_gym.common.arrays import Array, IntArray
-from flexman_gym.common.checks import non_negative, set_fields, value_error, whole_number
+from flexman_gym.common.checks import value_error
 from flexman_gym.envs.limits import Limits
 from flexman_gym.envs.random_streams import TruncatedNoise
+from flexman_gym.envs.sensors.flaws import AMOUNTS, FLAWS, Flaws
 from flexman_gym.envs.sensors.sensor import DEFAULT_QUANTITIES, Entry, MeasuredView, Sensor
 from flexman_gym.envs.view import View
-
-MIN_QUANTISATION = 1e-12  # fraction of the range; smallest quantisation step
-MAX_PERIODS = 1000  # control periods; largest delay, and longest time between two samples
-
-
-@dataclass(frozen=True, eq=False)
-class Flaws:
-    """Flaws of an instrument; fractions are fractions of the measurement range of each quantity.
-
-    Attributes:
-        noise: standard deviation of the normal noise on each sample, a fraction; truncated at 4 standard deviations.
-        bias: largest magnitude of the bias, a fraction; the bias is drawn uniformly once per episode.
-        quantisation: quantisation step, a fraction.
-        delay: control periods until a sample arrives; before the first arrival the first sample is read.
-        every: control periods between two samples.
-        dropped: probability of losing a sample, in whose place the previous sample is read.
-    """
-
-    noise: float = 0.0
-    bias: float = 0.0
-    quantisation: float = 0.0
-    delay: int = 0
-    every: int = 1
-    dropped: float = 0.0
-
-    def __post_init__(self) -> None:
-        for name in ("noise", "bias", "quantisation", "dropped"):
-            part = non_negative(f"sensors.{name}", getattr(self, name))
-            if part > 1.0:
-                raise value_error(f"sensors.{name}", part, "a fraction from 0 to 1")
-            set_fields(self, **{name: part})
-        if 0.0 < self.quantisation < MIN_QUANTISATION:
-            raise value_error(
-                "sensors.quantisation", self.quantisation, f"0, or a fraction from {MIN_QUANTISATION:g} to 1"
-            )
-        set_fields(self, delay=whole_number("sensors.delay", self.delay, 0, MAX_PERIODS))
-        set_fields(self, every=whole_number("sensors.every", self.every, 1, MAX_PERIODS))
-        if self.dropped >= 1.0:
-            raise value_error("sensors.dropped", self.dropped, "a probability from 0 to below 1")
-
-
-FLAWS = tuple(each.name for each in fields(Flaws))
-"""Names of the flaws of a sensor, see `Flaws`."""
 
 
 class Instrument:
@@ -84,7 +41,7 @@ class Instrument:
 
     __hash__ = None  # type: ignore[assignment]
 
-    def settings(self) -> Mapping[str, float]:
+    def settings(self) -> Mapping[str, Any]:
         """Return the flaws that differ from the defaults, by name."""
         return {name: getattr(self.flaws, name) for name in FLAWS if getattr(self.flaws, name) != getattr(Flaws, name)}
 
@@ -96,7 +53,9 @@ class Instrument:
         """Return the entries of the sensor without flaws, and allocate the stored samples."""
         arms, flaws = len(view.motion), self.flaws
         self.measured = MeasuredView(view, limits, self.measures)
-        size = len(self.measured.bound)
+        size, units, bound = len(self.measured.bound), self.measured.value_units, self.measured.bound
+        flaws.check_units(units)
+        self._errors = {name: flaws.fraction(name, units, bound) * bound for name in AMOUNTS}
         self._held, self._bias = np.zeros((arms, size)), np.zeros((arms, size))
         self._late = np.zeros((flaws.delay, arms, size))  # delayed samples, the oldest first
         self._ages, self._noise = np.zeros(arms, dtype=np.int64), TruncatedNoise(arms, size + 1)
@@ -106,8 +65,8 @@ class Instrument:
         """Start an episode of an arm, with two draws from its random stream."""
         self._noise.begin(arm, stream)
         inner = np.random.default_rng(stream.integers(2**63))
-        bound = self.measured.bound
-        self._bias[arm] = self.flaws.bias * bound * inner.uniform(-1.0, 1.0, len(bound))
+        largest = self._errors["bias"]
+        self._bias[arm] = largest * inner.uniform(-1.0, 1.0, len(largest))
         self._ages[arm] = 0
 
     def sample(self, arms: IntArray) -> None:
@@ -123,11 +82,12 @@ class Instrument:
             new = new + self._bias[at]
         if flaws.noise or flaws.dropped:
             drawn = self._noise.sample(arms)
-            new = new + flaws.noise * measured.bound * drawn[:, :-1]
+            new = new + self._errors["noise"] * drawn[:, :-1]
             taken &= first | (TruncatedNoise.uniform(drawn[:, -1]) >= flaws.dropped)
         if flaws.quantisation:
-            step = flaws.quantisation * measured.bound
-            new = np.round(new / step) * step
+            step = self._errors["quantisation"]
+            coarse = np.where(step > 0.0, step, 1.0)
+            new = np.where(step > 0.0, np.round(new / coarse) * coarse, new)
         self._held[at] = np.where(taken[:, None], new, self._held[at])
         self._ages[at] += 1
         measured.values[at] = self._delayed(at, first)

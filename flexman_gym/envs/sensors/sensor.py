@@ -89,6 +89,11 @@ class MeasuredView:
     def __getattr__(self, name: str) -> Any:
         return getattr(self.__dict__["_view"], name)
 
+    @property
+    def value_units(self) -> tuple[str, ...]:
+        """Unit of each value (size,)."""
+        return tuple(each for name, _ in self._parts for each in column_units(self._view, name))
+
     def columns(self, name: str) -> IntArray:
         """Return the indices of a quantity in `values`; (0,) if it is not measured."""
         end = 0
@@ -132,6 +137,13 @@ class MeasuredView:
 
     def _vibration(self) -> None:
         self.tip_vibration = np.sqrt(row_dots(self.deflection_rate, self.deflection_rate))
+
+
+def column_units(view: View, name: str) -> list[str]:
+    """Return the unit of each number of a measured quantity."""
+    if name == "motion":
+        return [view.units[each] for each, place in view.slices.items() for _ in range(place.stop - place.start)]
+    return [view.units[name]] * getattr(view, name).shape[1]
 
 
 def measurement_ranges(view: View, limits: Limits) -> dict[str, Array]:
