@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from flexman_gym.toolbox.controllers.observers.kalman_filter import KalmanFilter
     from flexman_gym.toolbox.controllers.observers.observer import Estimate, Observer
     from flexman_gym.toolbox.controllers.observers.oracle import Oracle
+    from flexman_gym.toolbox.controllers.pd_design import design_pd
     from flexman_gym.toolbox.controllers.range_check import RangeCheckedController
     from flexman_gym.toolbox.controllers.references.optimised_slews import OptimisedController
     from flexman_gym.toolbox.controllers.tracking import OutputFeedback, Tracking
@@ -38,6 +39,7 @@ __all__ = [
     "RangeCheckedController",
     "Tracking",
     "TrackingLQR",
+    "design_pd",
 ]
 
 __getattr__, __dir__ = lazy_names(__name__)

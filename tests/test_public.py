@@ -98,7 +98,7 @@ def test_a_description_with_an_object_of_ones_own_or_another_suffix_is_not_saved
 @pytest.mark.slow
 def test_gains_are_tuned_from_python_and_used():
     """A gain margin of 2 and a phase margin of 30 degrees, as of the command."""
-    found = fm.tune("FlexOne-v0", first=2, around=1, episodes=1)
+    found = fm.tune("FlexOne-v0", around=1, episodes=1)
     assert found.margins.gain >= 2.0 and found.margins.phase >= 30.0
     env = gym.make("FlexOne-v0", base="pd", gains=found.gains)
     assert env.unwrapped.configuration.gains == {"stiffness": found.stiffness, "damping": found.damping}

@@ -137,16 +137,11 @@ def test_tuning_finds_gains_that_beat_most_and_finds_them_again(monkeypatch):
         return result
 
     monkeypatch.setattr(optimisation, "_gain_returns", watched)
-    first, again = (
-        optimisation.tune(Configuration("FlexOne-v0"), first=6, around=4, episodes=2, seed=1) for _ in range(2)
-    )
+    first, again = (optimisation.tune(Configuration("FlexOne-v0"), around=2, episodes=2, seed=1) for _ in range(2))
     assert first == again
     half = len(seen) // 2
     gains, result = (np.concatenate([part[i] for part in seen[:half]]) for i in (0, 1))
     assert first.reward == result.max() and np.array_equal(gains[result.argmax()], [*first.stiffness, *first.damping])
-    limit, most = 0.5, 0.01 / NAMED_ENVIRONMENTS["FlexOne-v0"].control_period
-    low, high = np.array([0.01 * limit, 0.05 * most]), np.array([25 * limit, most])
-    assert (gains >= low * (1 - 1e-9)).all() and (gains <= high * (1 + 1e-9)).all()
 
 
 def test_tune_prints_the_line_for_a_file(run, monkeypatch):
@@ -164,7 +159,7 @@ def test_the_gains_in_the_catalog_are_better_than_gains_nearby_at_random():
     pd, environment = NAMED_ENVIRONMENTS["FlexOne-v0"].pd, Configuration("FlexOne-v0")
     own = np.array([[*pd["stiffness"], *pd["damping"]]])
     others = own * np.random.default_rng(0).uniform(0.4, 1.6, (24, 2))
-    loops = optimisation._motor_loops(environment)
+    loops = optimisation.PDDesign(environment).loops
     others = [each for each in others if has_margins(loops, each[:1], each[1:], optimisation.MIN_MARGINS)]
     result = optimisation._gain_returns(environment, np.vstack([own, *others]), 8)
     assert len(others) > 6 and (result.argmax() == 0 or result[0] > 0.99 * result.max())

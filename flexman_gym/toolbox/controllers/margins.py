@@ -84,6 +84,9 @@ class Margins(NamedTuple):
     stuck: tuple[int, ...] = ()
 
 
+MIN_MARGINS = Margins(2.0, 30.0)  # 1, degrees; smallest gain margin and phase margin of tuned gains
+
+
 def sampled_loops(
     model: Model, joint_angles: Vector, period: float, delay: int = 0, bandwidth: float | None = None
 ) -> list[SampledLoop]:

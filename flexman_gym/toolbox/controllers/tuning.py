@@ -6,11 +6,10 @@ from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
 
-import gymnasium as gym
 import numpy as np
 
 from flexman_gym.agent.base_controllers import make_base
-from flexman_gym.agent.pd import PD, stability_limit
+from flexman_gym.agent.pd import PD
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import value_error
 from flexman_gym.common.parallel import Workers, parallel_map
@@ -19,26 +18,21 @@ from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.envs.config.plant import make_plant
 from flexman_gym.envs.episodes import Episodes
 from flexman_gym.envs.vector_env import compile_kernels
-from flexman_gym.evaluation.agents import split_interface
 from flexman_gym.evaluation.metrics import METRICS
 from flexman_gym.evaluation.rollouts import rollout
-from flexman_gym.model.model import Model
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.toolbox.controllers.lqr import LQR
-from flexman_gym.toolbox.controllers.margins import Margins, SampledLoop, has_margins, margins, sampled_loops
+from flexman_gym.toolbox.controllers.margins import MIN_MARGINS, Margins, SampledLoop, has_margins, margins
+from flexman_gym.toolbox.controllers.pd_design import PDDesign
 from flexman_gym.toolbox.controllers.references.optimised_slews import (
     OptimisedController,
     SingleShooting,
     SlewTable,
 )
 
-MIN_MARGINS = Margins(2.0, 30.0)  # 1, degrees; smallest gain margin and phase margin of candidate gains
-POSTURES = 4  # number of goal postures at which the margins are checked
-STIFFNESS_RANGE = (0.01, 25.0)  # torque limits per radian; range of the drawn stiffness
-MIN_DAMPING_SHARE = 0.05  # dimensionless; smallest drawn damping as a fraction of the largest
 LOCAL_DEVIATIONS = np.geomspace(0.5, 0.1, 8)  # standard deviation of log(gains) in each round around the best gains
 BLOCK_CANDIDATES = 15  # number of candidates evaluated in one rollout
-DRAWS = 1000  # largest number of draws for each candidate
+DRAWS = 100  # largest number of draws for each candidate
 
 
 @dataclass(frozen=True)
@@ -64,20 +58,17 @@ class TunedGains:
 
 
 def tune(
-    environment: str | Configuration, first: int = 60, around: int = 30, episodes: int = 8, seed: int = 0,
+    environment: str | Configuration, around: int = 30, episodes: int = 8, seed: int = 0,
     margin: bool = True, workers: Workers | int = 1,
 ) -> TunedGains:  # fmt: skip
     """Tune the gains of the PD controller of an environment by random search for the largest mean return.
 
-    The first round draws candidates at random; eight further rounds draw candidates around the best one so far. All
-    candidates are evaluated on the same episodes. Stiffness is drawn between 0.01 and 25 torque limits per radian, and
-    damping between 0.05 and 1 times the largest damping, both uniformly on a logarithmic scale. The largest damping is
-    half the stability limit of the sampled loop with the largest delay of the environment.
+    The search starts from the gains of `design_pd`, which needs no simulation. Eight rounds draw candidates around the
+    best gains so far, within the bounds of the design. All candidates are evaluated on the same episodes.
 
     Args:
         environment: id, id and condition such as "FlexRRR-v0/delay", path of a file, or Configuration.
-        first: number of candidates of the first round, drawn over the whole range.
-        around: number of candidates of each further round, drawn around the best candidate so far.
+        around: number of candidates of each round; 0 for the gains of `design_pd`.
         episodes: number of episodes on which each candidate is evaluated.
         seed: seed of the search.
         margin: True to require of each candidate a gain margin of 2 and a phase margin of 30 degrees, for the sampled
@@ -88,74 +79,46 @@ def tune(
         Stiffness (n,) N m/rad, damping (n,) N m s/rad, margins (1 and degrees) and the mean return of the episodes.
 
     Raises:
-        ValueError: for an unknown environment, or if too few draws have the required margins.
+        ValueError: for an unknown environment, and for one whose control period is too long for a PD with these
+            margins; the message has a shorter period.
 
     Examples:
         >>> import gymnasium as gym
-        >>> found = fm.tune("FlexOne-v0", first=2, around=1, episodes=1)
+        >>> found = fm.tune("FlexOne-v0", around=1, episodes=1)
         >>> found.margins.gain >= 2.0, found.margins.phase >= 30.0
         (True, True)
         >>> env = gym.make("FlexOne-v0", base="pd", gains=found.gains)
     """
     environment = Configuration.find(environment)
-    random, loops = np.random.default_rng(seed), _motor_loops(environment)
-    limits = np.array(environment.torque_limit)
-    rotors = np.array([joint.rotor_inertia for joint in environment.arm.joints])
-    max_damping = stability_limit(environment.max_delay) * rotors / (MIN_MARGINS.gain * environment.control_period)
-    low = np.log(np.concatenate([STIFFNESS_RANGE[0] * limits, MIN_DAMPING_SHARE * max_damping]))
-    high = np.log(np.concatenate([STIFFNESS_RANGE[1] * limits, max_damping]))
-    checked_loops = loops if margin else []
-    gains = _draw_gains(checked_loops, first, lambda: random.uniform(low, high))
+    random, design = np.random.default_rng(seed), PDDesign(environment)
+    gains = design.gains(margin)[None]
     returns = _gain_returns(environment, gains, episodes, workers)
-    for deviation in LOCAL_DEVIATIONS:
-        best = np.log(gains[np.argmax(returns)])
-        draw = partial(_draw_near, random, best, float(deviation), low, high)
-        near = _draw_gains(checked_loops, around, draw)
-        returns = np.append(returns, _gain_returns(environment, near, episodes, workers))
-        gains = np.vstack([gains, near])
+    for deviation in LOCAL_DEVIATIONS if around else ():
+        draw = partial(_draw_near, random, gains[np.argmax(returns)], float(deviation), design)
+        if len(near := _draw_gains(design.loops if margin else [], around, draw)):
+            returns = np.append(returns, _gain_returns(environment, near, episodes, workers))
+            gains = np.vstack([gains, near])
     stiffness, damping = np.split(gains[np.argmax(returns)], 2)
-    reached = margins(loops, stiffness, damping)
+    reached = margins(design.loops, stiffness, damping)
     return TunedGains(tuple(stiffness.tolist()), tuple(damping.tolist()), float(returns.max()), reached)
 
 
-def _draw_near(random: np.random.Generator, best: Array, deviation: float, low: Array, high: Array) -> Array:
-    return np.clip(best + deviation * random.standard_normal(len(best)), low, high)
-
-
-def _motor_loops(environment: Configuration) -> list[SampledLoop]:
-    """Return the sampled loops of the motors, with the largest delay, at the goals of episodes with seeds 0 to 3.
-
-    With Coulomb friction, each posture has a loop for every set of motors that stick while the rest slide, see
-    `toolbox.controllers.margins`.
-    """
-    postures, model = goal_postures(environment)
-    timing = environment.control_period, environment.max_delay, environment.drive_bandwidth
-    return [loop for posture in postures for loop in sampled_loops(model, posture, *timing)]
-
-
-def goal_postures(environment: Configuration) -> tuple[Array, Model]:
-    """Return the goals (4, n), rad, of episodes with seeds 0 to 3, and the model of the environment."""
-    without_interface = split_interface(environment)[0]  # a base controller could need the gains that are being tuned
-    venv = gym.make_vec(environment.id, POSTURES, "vector_entry_point", **without_interface.keywords())
-    venv.reset(seed=list(range(POSTURES)))  # type: ignore[arg-type]
-    episodes = venv.unwrapped.episodes  # type: ignore[attr-defined]
-    postures, model = episodes.view.goal_angles.copy(), episodes.batch.model
-    venv.close()
-    return postures, model
+def _draw_near(random: np.random.Generator, best: Array, deviation: float, design: PDDesign) -> Array:
+    """Return gains (2 n,) near the best ones, within the bounds of the design."""
+    return design.bounded(best * np.exp(deviation * random.standard_normal(len(best))))
 
 
 def _draw_gains(loops: Sequence[SampledLoop], count: int, draw: Callable[[], Array]) -> Array:
-    """Return gains (count, 2 n) with MIN_MARGINS in all loops; `draw` returns logarithms of gains (2 n,)."""
+    """Return at most `count` drawn gains (count, 2 n), those with MIN_MARGINS in all loops."""
     result: list[Array] = []
     for _ in range(DRAWS * count):
-        gains = np.exp(draw())
+        gains = draw()
         stiffness, damping = np.split(gains, 2)
         if has_margins(loops, stiffness, damping, MIN_MARGINS):
             result.append(gains)
             if len(result) == count:
-                return np.array(result)
-    allowed = f"{count} with a gain margin of {MIN_MARGINS.gain:g} and a phase margin of {MIN_MARGINS.phase:g} degrees"
-    raise value_error("gains", f"{len(result)} of {DRAWS * count} drawn", allowed)
+                break
+    return np.array(result)
 
 
 def _gain_returns(environment: Configuration, gains: Array, episodes: int, workers: Workers | int = 1) -> Array:

@@ -15,7 +15,8 @@ from flexman_gym.envs.tasks.slew import Slew
 from flexman_gym.metrics import BAND, SETTLING_WINDOW
 from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.link import MAX_SECTIONS
-from flexman_gym.toolbox.controllers.tuning import MIN_MARGINS, goal_postures
+from flexman_gym.toolbox.controllers.margins import MIN_MARGINS
+from flexman_gym.toolbox.controllers.pd_design import goal_postures
 from flexman_gym.toolbox.sensitivity.design_gradients import DesignLoop, DesignModel, divide_links, resized
 
 DESIGN_METRICS = {"frequency": "Hz", "mass": "kg", "settling": "s"}
@@ -23,7 +24,7 @@ KEPT = ("arm", "links")
 MAX_ITERATIONS, STARTS = 200, 10  # iterations of a start, and starts
 FUNCTION_TOLERANCE, START_TOLERANCE = 1e-11, 1e-8  # changes of the logarithm of the metric in the last iteration, start
 MIN_GAIN = 0.01  # smallest gain as a fraction of the largest
-START_GAINS = (0.3, 0.7)  # first stiffness and damping as fractions of the largest, for an arm without tuned gains
+START_GAINS = (0.3, 0.7)  # first stiffness and damping as fractions of the largest, for an arm without PD gains
 POSTURES = 2  # number of goal postures for the settling time
 SATURATION = 3.0  # largest stiffness times the largest slew / torque limit; the linear model has no saturation
 
@@ -155,7 +156,7 @@ def _loop(environment: Configuration) -> tuple[DesignLoop, Array, Array]:
     try:
         gains = environment.pd_gains
         start = np.concatenate([gains["stiffness"] / loop.stiffness, gains["damping"] / loop.damping])
-    except ValueError:  # no gains are known for this arm
+    except ValueError:  # no gains have the margins at this control period
         start = np.repeat(START_GAINS, arm.n_joints)
     return loop, goal_postures(environment)[0][:POSTURES], np.log(np.clip(start, MIN_GAIN, 1.0))
 
@@ -239,7 +240,7 @@ def _changed(
     changes: dict[str, Any] = {"arm": arm}
     if environment.fidelity == "default":
         changes["elements"] = 1
-    if "torque_limit" in environment.settings:
+    if "torque_limit" in environment.given:
         changes["torque_limit"] = (np.array(environment.torque_limit) * ratios).tolist()
     if loop is not None:
         stiffness, damping = np.split(shares, 2)

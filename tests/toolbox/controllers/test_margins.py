@@ -9,16 +9,16 @@ from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.model.dynamics import mass_matrix
 from flexman_gym.simulation.physical_parameters import varied_model
-from flexman_gym.toolbox.controllers import tuning as optimisation
 from flexman_gym.toolbox.controllers.margins import (
     GAIN_FACTORS,
+    MIN_MARGINS,
     PHASE_SHIFTS,
     Margins,
     has_margins,
     margins,
     sampled_loops,
 )
-from flexman_gym.toolbox.controllers.tuning import MIN_MARGINS
+from flexman_gym.toolbox.controllers.pd_design import PDDesign
 from studies.servos.measure import AT_REST, FrictionCase, friction_rows, remaining_vibration, smoothed_loop
 
 PERIOD = 0.01
@@ -121,7 +121,7 @@ def test_the_pd_of_every_environment_has_a_gain_margin_of_two_and_a_phase_margin
     monkeypatch.setattr("flexman_gym.toolbox.controllers.margins.PHASE_SHIFTS", shifts)
     environment = Configuration.find(name)
     gains = environment.pd_gains
-    reached = margins(optimisation._motor_loops(environment), gains["stiffness"], gains["damping"])
+    reached = margins(PDDesign(environment).loops, gains["stiffness"], gains["damping"])
     assert reached.gain >= MIN_MARGINS.gain * (1.0 - 1e-9) and reached.phase >= MIN_MARGINS.phase
 
 

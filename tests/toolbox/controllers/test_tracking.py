@@ -233,7 +233,7 @@ def test_it_tends_to_the_regulator_that_is_told_all_as_noise_goes_to_zero(late):
 @pytest.mark.parametrize("condition", ["", "/delay"])
 def test_it_settles_arms_by_the_sensors_of_a_laboratory(condition):
     described = Configuration.find(f"FlexPlanar-v0{condition}")
-    result = rollout("lqg", Configuration(described.id, {**described.settings, "horizon": 4.0}), SEEDS)
+    result = rollout("lqg", Configuration(described.id, {**described.given, "horizon": 4.0}), SEEDS)
     assert all(record.failure == "" for record in result.records)
     assert all(settling_time(each.errors, each.band, each.period) < 2.0 for each in result.records)
 
