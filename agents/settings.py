@@ -11,6 +11,8 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Self
 
+import numpy as np
+
 from flexman_gym.agent.base_controllers import BASES, parse_kind
 from flexman_gym.common import files
 from flexman_gym.common.checks import (
@@ -26,8 +28,12 @@ from flexman_gym.common.checks import (
     whole_number,
 )
 from flexman_gym.common.run_folder import NO_SETTINGS, SETTINGS, read_settings
+from flexman_gym.envs.config.arm_settings import arm_facts
+from flexman_gym.envs.config.conditions import usual_payload
 from flexman_gym.envs.config.configuration import Configuration
+from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 
+ACTIONS_PER_SLEW = 16  # actions of the agent in the median slew of an arm of the user
 RECORDED_PACKAGES = ("flexman_gym", "gymnasium", "numba", "numpy", "scipy", "stable-baselines3", "torch")
 ALGORITHMS = ("ppo", "sac", "dagger")
 DEFAULT_ENVS = {"ppo": 64, "sac": 16, "dagger": 128}  # algorithm -> parallel arms
@@ -188,6 +194,26 @@ class Settings:
         with files.reading(folder / SETTINGS, NO_SETTINGS):
             return cls.from_dict({name: record[name] for name in (each.name for each in fields(cls))})
 
+    def for_arm(self, arm: object) -> Self:
+        """Return the settings for an arm of the user: times and payloads of the recipe scale with the arm.
+
+        An action lasts a sixteenth of the median slew; time constants of the history and ranges of the payload are in
+        proportion to those of the named environment. Control period, horizon, limits and gains follow from the arm.
+
+        Args:
+            arm: as the setting `arm` of an environment.
+        """
+        named = self.environment
+        kept = named.without(("arm", "gains", "horizon", "control_period", "limits"))
+        own = kept.replace(arm=arm)
+        changes: dict[str, Any] = {"action_repeat": max(1, round(action_time(own) / own.control_period))}
+        if isinstance(own.history, tuple):
+            scale = action_time(own) / action_time(named)
+            changes["history"] = [float(f"{scale * each:.3g}") for each in own.history]
+        if "payload_mass" in own.randomised_ranges:
+            changes["randomisation"] = own.randomised_ranges | {"payload_mass": _payload_range(named, own)}
+        return replace(self, environment=own.replace(**changes))
+
     def check_run(self, folder: Path) -> None:
         """Raise ValueError if a folder, which may be missing, holds a run with different settings."""
         if not (folder / SETTINGS).exists():
@@ -256,3 +282,15 @@ def find_recipe(name: str) -> Settings:
     if not os.path.isfile(name):  # False for any text
         raise unknown_name("recipe", name, RECIPES, "the path of a file")
     return Settings.recipe(name)
+
+
+def action_time(environment: Configuration) -> float:
+    """Return the time of an action that suits the slews of the arm of an environment, s."""
+    facts = arm_facts(environment.arm, environment.torque_limit, environment.slew_span)
+    return float(np.median(facts.durations)) / ACTIONS_PER_SLEW
+
+
+def _payload_range(named: Configuration, own: Configuration) -> list[float]:
+    """Return the payloads (kg) of an arm in the same ratio to its usual payload as in a recipe."""
+    ratio = usual_payload(own.arm) / NAMED_ENVIRONMENTS[named.id].usual_payload
+    return [float(f"{ratio * each:.6g}") for each in named.randomised_ranges["payload_mass"]]

@@ -33,7 +33,16 @@ from flexman_agents.settings import EXPLORATION_SCHEDULES, MAX_STEPS, Settings
 from flexman_agents.vector import SB3VecEnv
 from flexman_gym.common.checks import value_error, whole_number
 from flexman_gym.common.files import reading
-from flexman_gym.common.run_folder import BEST, NEWEST, SETTINGS, lock_folder, read_npz, read_settings, write_npz
+from flexman_gym.common.run_folder import (
+    BEST,
+    NEWEST,
+    RESULT,
+    SETTINGS,
+    lock_folder,
+    read_npz,
+    read_settings,
+    write_npz,
+)
 from flexman_gym.common.snapshot import get_state, set_state
 from flexman_gym.evaluation.agents import AgentSpec, check_settings
 
@@ -299,6 +308,7 @@ def resume(
     checkpoint_every = whole_number("checkpoint_every", checkpoint_every, 0, MAX_STEPS)
     settings = Settings.load(folder)
     with lock_folder(folder):
+        (folder / RESULT).unlink(missing_ok=True)  # the guard compares the policy of the continued run
         data = read_npz(folder / NEWEST) if (folder / NEWEST).is_file() else None
         if data is not None:
             check_settings(folder / NEWEST, data, read_settings(folder))

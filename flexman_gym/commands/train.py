@@ -30,6 +30,8 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
     algorithms = f"{', '.join(ALGORITHMS)} (default: that of the recipe, or ppo)"
     parser.add_argument("--algo", choices=ALGORITHMS, metavar="NAME", help=algorithms)
     add_options(parser, "--env", "--set", env={"help": "environment (flexman list environments) or file"})
+    parser.add_argument("--arm", metavar="FILE", help="arm file, URDF or name: the times of the recipe scale with it")
+    parser.add_argument("--keep-worse", action="store_true", help="keep a policy that settles less than its base")
     parser.add_argument("--steps", type=int, metavar="N", help="environment steps, summed over all arms")
     parser.add_argument("--seed", type=int, metavar="N", help="seed of the first run")
     parser.add_argument(
@@ -60,6 +62,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
 def _run(options: argparse.Namespace) -> int:
     """Train or resume; return the exit status."""
     from flexman_agents.callbacks import Interrupted
+    from flexman_agents.guard import guard
     from flexman_agents.training import resume
 
     try:
@@ -77,6 +80,9 @@ def _run(options: argparse.Namespace) -> int:
     except KeyboardInterrupt:
         print("Interrupted; the last checkpoint remains.", file=sys.stderr)
         return EXIT_INTERRUPTED
+    for each in folders:
+        if report := guard(each, options.keep_worse):
+            print(report if len(folders) == 1 else f"{each}: {report}")
     if len(folders) == 1:
         print(f"The run is in {folders[0]}; to evaluate it: flexman evaluate {folders[0]} pd")
     return 0
@@ -84,8 +90,8 @@ def _run(options: argparse.Namespace) -> int:
 
 def _refuse_settings(options: argparse.Namespace) -> None:
     """Raise ValueError for settings together with --resume: a resumed run keeps its settings."""
-    for name in ("recipe", "algo", "env", "set", "seed", "envs"):
-        if getattr(options, name) not in (None, []):
+    for name in ("recipe", "algo", "env", "arm", "set", "seed", "envs"):
+        if getattr(options, name, None) not in (None, []):
             raise value_error(name, getattr(options, name), "no value with --resume: a run keeps its settings")
     if options.seeds != 1:
         raise value_error("seeds", options.seeds, "1 with --resume; without it, killed runs of seeds are resumed")
@@ -118,9 +124,12 @@ def _make_settings(options: argparse.Namespace) -> "Settings":
     if options.env:
         environment = Configuration.find(options.env, options.set)
         if options.recipe:
-            _warn_of_missing_settings(settings.environment.settings, environment.settings, options.env)
+            _warn_of_missing_settings(settings.environment.given, environment.given, options.env)
     else:
         environment = settings.environment.changed(options.set)
+    if arm := getattr(options, "arm", None):
+        settings = replace(settings, environment=environment).for_arm(arm)
+        environment = settings.environment
     return replace(settings, environment=environment, **named)
 
 

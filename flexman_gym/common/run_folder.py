@@ -15,6 +15,7 @@ from flexman_gym.common.checks import key_error
 from flexman_gym.common.files import existing_file, naming, open_arrays, reading, regular_file, write_atomically
 
 SETTINGS, NEWEST, BEST, LOCK = "settings.json", "newest.npz", "best.npz", "lock"
+RESULT, BASE = "result.json", "base"  # file that names the result of a run; the base controller in place of the policy
 NO_SETTINGS = "has no settings of a training run"  # predicate of a damaged file of settings
 KEYS = (  # settings of a training run, and the versions of packages with which it was trained
     "algo", "environment", "steps", "seed", "envs", "hyperparameters", "schedules", "normalise_reward", "eval_every",
@@ -92,6 +93,15 @@ def read_settings(folder: Path) -> dict[str, Any]:
             raise ValueError("this is no mapping in JSON; give the settings of a training run")
         check_keys(result)
     return result
+
+
+def has_base_as_result(folder: Path) -> bool:
+    """Return True for a run whose policy settles less often than its base controller, see `flexman_agents.guard`."""
+    path = folder / RESULT
+    if not path.is_file():
+        return False
+    with reading(path, "names no result of a training run"):
+        return bool(json.loads(regular_file(path).read_bytes())["result"] == BASE)
 
 
 def check_keys(settings: dict[str, Any]) -> None:

@@ -51,7 +51,7 @@ def test_a_model_brings_environment_interface_and_statistics(model, tmp_path, ca
     assert "--trust" in refusal(find_agent, str(path))
     loaded = load_sb3(path, settings.environment)
     assert loaded.name == "own" and np.array_equal(torques(loaded, environment), expected)
-    here = Configuration(environment.id, {**environment.settings, **interface})
+    here = Configuration(environment.id, {**environment.given, **interface})
     assert np.array_equal(torques(load_sb3(path), here), expected), "it sees and holds as it is told there"
     path.with_suffix(".pkl").write_bytes(b"noise")
     assert "this is not a policy of Stable-Baselines3" in refusal(load_sb3, path)

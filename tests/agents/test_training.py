@@ -247,7 +247,7 @@ def evaluate_with(monkeypatch, outcomes, rollout=50):
         share, reward = next(results)
         assert entrant.interface.items() >= {"base": "pd", "action_repeat": 5, "sensors": ["full", "fine"]}.items()
         assert seeds == range(5000, 5100)
-        assert environment.id == "FlexOne-v0" and not {"base", "action_repeat", "sensors"} & environment.settings.keys()
+        assert environment.id == "FlexOne-v0" and not {"base", "action_repeat", "sensors"} & environment.given.keys()
         return dict.fromkeys(METRICS, 0.0) | {"settled": share, "reward": reward}
 
     monkeypatch.setattr(callbacks, "evaluate", evaluate)
