@@ -9,6 +9,7 @@ if TYPE_CHECKING:
     __version__: str
     from flexman_gym import control, draw, metrics
     from flexman_gym.common.registry import register
+    from flexman_gym.envs.config.arm_description import describe
     from flexman_gym.envs.config.randomisation import Randomisation
     from flexman_gym.envs.limits import Limits
     from flexman_gym.envs.tasks import Slew
@@ -96,6 +97,7 @@ __all__ = [
     "curvature",
     "curves",
     "damping_matrix",
+    "describe",
     "draw",
     "evaluate",
     "fit",

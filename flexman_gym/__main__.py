@@ -15,7 +15,7 @@ from flexman_gym import __version__, commands
 from flexman_gym.common.checks import suggestion
 
 COMMAND_GROUPS = {  # group -> commands, in the order of the help
-    "start": ("demo", "live", "check", "compile", "list", "verify"),
+    "start": ("demo", "live", "arm", "check", "compile", "list", "verify"),
     "learn": ("train", "imitate", "search"),
     "evaluate": ("evaluate", "league", "why"),
     "simulate": ("simulate", "choose", "precision", "draw"),

@@ -18,7 +18,16 @@ from flexman_gym.agent.network import Network
 from flexman_gym.common.arrays import Array, BoolArray, IntArray
 from flexman_gym.common.checks import unknown_name, value_error
 from flexman_gym.common.files import existing_file, naming, reading
-from flexman_gym.common.run_folder import BEST, NEWEST, NO_SETTINGS, SETTINGS, check_keys, read_npz, read_settings
+from flexman_gym.common.run_folder import (
+    BEST,
+    NEWEST,
+    NO_SETTINGS,
+    SETTINGS,
+    check_keys,
+    has_base_as_result,
+    read_npz,
+    read_settings,
+)
 from flexman_gym.envs.config.base_and_mode import make_base_and_mode
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
@@ -210,6 +219,11 @@ def _load_run(folder: Path) -> AgentSpec:
         environment = Configuration.from_plain(settings["environment"])
         algo, activation = settings["algo"], settings["hyperparameters"].get("activation")
         base_in_use = settings.get("base_in_use")
+    if has_base_as_result(folder):
+        bare, interface = split_interface(environment)
+        kept: dict[str, Any] = {name: interface[name] for name in ("base", "gains") if name in interface}
+        kept |= {"base": base_in_use} if base_in_use else {}
+        return AgentSpec(f"{folder.name}: its base", None, kept, bare)
     path = folder / BEST if (folder / BEST).is_file() else existing_file(folder / NEWEST)
     data = read_npz(path)
     check_settings(path, data, settings)
@@ -224,7 +238,7 @@ def split_interface(environment: Configuration) -> tuple[Configuration, dict[str
     The gains of a PD controller are in both results: a policy needs the gains of its training, and the environment
     needs gains for the baseline "pd".
     """
-    interface = {name: value for name, value in environment.settings.items() if name in INTERFACE}
+    interface = {name: value for name, value in environment.given.items() if name in INTERFACE}
     if environment.base == "pd":
         interface["gains"] = environment.to_plain(strict=False)["gains"]
     return environment.without(INTERFACE), interface

@@ -33,7 +33,7 @@ def metrics_table(
     """
     first = next(iter(results.values()))
     columns = (*task_metrics(environment.task), *limit_metrics(first[0]))
-    settings = environment.settings.keys() - ({"method"} if environment.method == DEFAULT_METHOD else set())
+    settings = environment.given.keys() - ({"method"} if environment.method == DEFAULT_METHOD else set())
     changes = ", ".join(sorted(settings)) or "as it is"
     title = f"{len(first)} episodes of {environment.id} ({changes}), the same for all"
     within = f"in {1e3 * first[0].band:.3g} mm"

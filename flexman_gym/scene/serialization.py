@@ -193,7 +193,7 @@ def to_plain(value: Any) -> Any:
 
 ARM_FOLDER = Path(__file__).parent / "arms"
 ARMS = tuple(sorted(path.stem for path in ARM_FOLDER.glob("*.yaml")))  # names of the arms in the catalog
-SUFFIXES = (".json", ".yaml", ".yml")
+SUFFIXES, URDF = (".json", ".yaml", ".yml"), ".urdf"
 ArmLike = Arm | Mapping[str, Any] | str
 
 
@@ -202,7 +202,9 @@ def find_arm(value: object, folder: Path = Path()) -> Arm:
 
     Args:
         value: an Arm; the name of an arm in the catalog; a mapping with this name under the key "catalog" and with
-            options of the arm; the path of a file with an arm or a scene; or a mapping as in an arm file.
+            options of the arm; the path of a file with an arm or a scene, or of a URDF whose joints off the chain are
+            held at rest; a mapping with the path of a URDF at "urdf" and arguments of `Arm.from_urdf`; or a mapping as
+            in an arm file.
         folder: folder to which the path is relative.
 
     Raises:
@@ -219,6 +221,10 @@ def find_arm(value: object, folder: Path = Path()) -> Arm:
         except ValueError as error:
             raise ValueError(f"{short_path(value)}: {error}") from None
         return _arm_from_plain(data if "links" in data else data.get("arm", data))
+    if isinstance(value, str) and value.endswith(URDF):
+        return Arm.from_urdf(folder / value, held="rest")
+    if isinstance(value, dict) and "urdf" in value:
+        return _arm_from_urdf(value, folder)
     if isinstance(value, dict) and "catalog" not in value:
         return _arm_from_plain(value)
     entries = {"catalog": value} if isinstance(value, str) else value
@@ -230,6 +236,15 @@ def find_arm(value: object, folder: Path = Path()) -> Arm:
         return named_arm(name)(**arguments)
     except TypeError as error:
         raise value_error("arm", arguments, f"the arguments of {name}: {str(error).split('() ')[-1]}") from None
+
+
+def _arm_from_urdf(value: dict[str, Any], folder: Path) -> Arm:
+    """Return the arm of a mapping with the path of a URDF and the arguments of `Arm.from_urdf`."""
+    entries = mapping("arm", value, ("urdf", "sidecar", "tip", "held", "inertias"))
+    given = {"held": "rest"} | {name: each for name, each in entries.items() if name != "urdf"}
+    if isinstance(given.get("sidecar"), str):
+        given["sidecar"] = folder / given["sidecar"]
+    return Arm.from_urdf(folder / text("arm.urdf", entries["urdf"]), **given)
 
 
 @cache

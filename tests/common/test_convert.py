@@ -246,7 +246,7 @@ def test_a_recipe_with_old_keys_is_refused_until_it_is_converted(tmp_path, monke
     assert line.startswith(f"{path}: settings: 'judge_every' is not allowed") and line.endswith(HINT)
     assert converted(monkeypatch, path) == 0
     settings = Settings.recipe(path)
-    assert settings.hyperparameters == {"iterations_kept": 3} and "method" not in settings.environment.settings
+    assert settings.hyperparameters == {"iterations_kept": 3} and "method" not in settings.environment.given
 
 
 def test_a_value_under_both_names_is_not_converted(tmp_path, monkeypatch, capsys):

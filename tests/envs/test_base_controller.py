@@ -228,7 +228,7 @@ def test_an_arm_of_the_same_lengths_is_not_the_named_arm():
     quick = replace(named, joints=[replace(joint, rotor_inertia=1.0) for joint in named.joints])
     soft = replace(named, joints=[replace(joint, stiffness=0.5 * joint.stiffness) for joint in named.joints])
     for arm in (light, quick, soft):
-        line = refusal(lambda arm=arm: FlexManEnv(arm=arm, base="pd"))
+        line = refusal(lambda arm=arm: FlexManEnv(arm=arm, base="pd", settings="named"))
         assert line.startswith("gains: None is not allowed; give those of this arm")
     unlimited = replace(named, joints=[replace(joint, torque_limit=None) for joint in named.joints])
     assert refusal(lambda: FlexManEnv(arm=unlimited)).startswith("torque_limit: None is not allowed")

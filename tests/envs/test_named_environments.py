@@ -111,6 +111,7 @@ def test_the_switches_are_all_that_build_model_has():
 
 
 SETTINGS = {
+    "settings": "named",
     "arm": fm.catalog.vertical_2r(), "task": fm.Slew(), "sensors": "fine", "limits": fm.Limits(rate=9.0),
     "history": 2, "gains": {"stiffness": (9.0, 3.0), "damping": (2.0, 1.0)}, "info_keys": ("motor_angles",),
     "torque_limit": (9.0, 3.0), "control_period": 0.02, "horizon": 0.1, "base": "pd", "action_repeat": 3,

@@ -74,7 +74,7 @@ SETTINGS = [  # settings of one environment and of many, and the beginning of th
     ({"base": PD}, "base: <class 'flexman_gym.agent.pd.PD'> is not allowed; give None, one of pd, pd-torque, lqr"),
     ({"base": Nosy([1.0] * 3, [1.0] * 3, 400.0)}, "sensors: 'nose' is not allowed; give one of full, fine, servo, st"),
     ({"base": 3}, "base: 3 is not allowed; give None, one of pd, pd-torque, lqr, lqr-tracking, "),
-    ({"base": "pd", "arm": fm.catalog.one_joint()}, "gains: None is not allowed; give those of this arm"),
+    ({"base": "pd", "arm": fm.catalog.one_joint(), "settings": "named"}, "gains: None is not allowed; give those"),
     ({"base": "pd", "gains": 3}, "gains: 3 is not allowed; give a mapping with some of stiffness, damping"),
     ({"base": "pd", "gains": {"stiffness": (5.0, 2.0, 1.0)}}, "gains: {'stiffness': (5.0, 2.0, 1.0)} is not allowed; "
      "give a mapping with stiffness (N m/rad) and"),

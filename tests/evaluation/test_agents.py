@@ -95,7 +95,7 @@ def test_a_policy_keeps_the_gains_that_it_learned_on(run):
     learned = NAMED_ENVIRONMENTS["FlexPlanar-v0"].pd
     delayed = Configuration.find("FlexPlanar-v0/delay")
     assert delayed.gains != learned
-    environments = delayed, Configuration("FlexPlanar-v0", {**delayed.settings, "gains": learned})
+    environments = delayed, Configuration("FlexPlanar-v0", {**delayed.given, "gains": learned})
     for name in (str(run), "pd"):
         policy = find_agent(name)
         both = [rollout(policy, common_environment([policy], each), [9001]) for each in environments]
@@ -108,7 +108,7 @@ def test_baselines_run_on_the_environment_that_is_named():
         "FlexPlanar-v0", {"arm": ARM, "horizon": 1.5, "base": "lqr", "action_repeat": 3, "sensors": "fine"}
     )
     environment = common_environment([find_agent("pd"), find_agent("zero")], described)
-    assert environment.settings == {"arm": ARM, "horizon": 1.5}, "base, hold and sensors belong to what acts"
+    assert environment.given == {"arm": ARM, "horizon": 1.5}, "base, hold and sensors belong to what acts"
     elsewhere = {"optimised", "mpc", "hinf"}  # the first has a table of one arm, the others need packages
     anywhere = [name for name in BASELINES if name not in elsewhere]
     results = {name: evaluate(name, environment, SEEDS) for name in anywhere}
@@ -134,7 +134,7 @@ def test_the_pd_beside_policies_has_the_gains_of_the_first_that_learned_on_one()
 
     def learned(name, damping):
         gains = {"stiffness": [2.0], "damping": [damping]}
-        environment, interface = split_interface(Configuration(ONE.id, {**ONE.settings, "base": "pd", "gains": gains}))
+        environment, interface = split_interface(Configuration(ONE.id, {**ONE.given, "base": "pd", "gains": gains}))
         return AgentSpec(name, find_agent("zero").law, interface, environment)
 
     alone = AgentSpec("alone", find_agent("zero").law, {}, ONE)
@@ -145,7 +145,7 @@ def test_the_pd_beside_policies_has_the_gains_of_the_first_that_learned_on_one()
 
 def test_gains_of_a_training_belong_to_the_policy_and_to_the_environment():
     gains = {"stiffness": [2.0], "damping": [0.1]}
-    environment, interface = split_interface(Configuration(ONE.id, {**ONE.settings, "base": "pd", "gains": gains}))
+    environment, interface = split_interface(Configuration(ONE.id, {**ONE.given, "base": "pd", "gains": gains}))
     assert interface["gains"] == environment.to_plain()["gains"] == gains
 
 
@@ -181,7 +181,7 @@ def test_who_acts_brings_everything_that_it_wants_of_an_environment(run):
         common_environment([], ONE),
         common_environment([], Configuration("FlexPlanar-v0"), ["condition=unknown-lab"]),
     )
-    assert bare[0] == ONE and "sensors" not in bare[1].settings and bare[1].disturbances.delay == (1, 1)
+    assert bare[0] == ONE and "sensors" not in bare[1].given and bare[1].disturbances.delay == (1, 1)
 
 
 def test_runs_of_one_name_on_different_environments_are_refused():
@@ -316,7 +316,7 @@ def test_an_agent_acts_alike_in_training_live_loaded_and_under_another_agent(con
 
     Flaws of the instruments of a base are its own.
     """
-    moved = Configuration.find(f"FlexPlanar-v0/{condition}").settings | {"horizon": 0.4}
+    moved = Configuration.find(f"FlexPlanar-v0/{condition}").given | {"horizon": 0.4}
     agent = {"base": "pd", "action_repeat": 2, "history": 3, "sensors": sensors}
     described = Configuration.from_plain({"id": "FlexPlanar-v0", **moved, **agent})
     write_policy(tmp_path, *made_up(described))

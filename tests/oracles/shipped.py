@@ -106,7 +106,7 @@ def outcome(seed, folder):
         return "finding", f"{type(error).__name__}: {error}"
     same = np.array_equal(policy.law(torques()[0]), torques()[1])
     same &= (
-        policy.interface["base"].stiffness.tolist() == DESCRIBED.settings["gains"]["stiffness"]
+        policy.interface["base"].stiffness.tolist() == DESCRIBED.given["gains"]["stiffness"]
         and policy.interface["action_repeat"] == 5
     )
     return ("acts", "") if same else ("finding", "it acts otherwise")

@@ -21,6 +21,9 @@ from flexman_gym.common.checks import (
     vector,
 )
 from flexman_gym.common.markdown import text_fields
+from flexman_gym.common.registry import load_entry
+from flexman_gym.envs.config.arm_settings import derived_settings
+from flexman_gym.envs.config.conditions import condition_for_arm
 from flexman_gym.envs.config.named_environments import (
     DEFAULT_ID,
     NAMED_ENVIRONMENTS,
@@ -30,13 +33,16 @@ from flexman_gym.envs.config.named_environments import (
 )
 from flexman_gym.envs.config.randomisation import Randomisation
 from flexman_gym.envs.config.settings import AUTO_SETTINGS, SETTINGS, EnvironmentSettings
+from flexman_gym.envs.limits import Limits
 from flexman_gym.envs.registration import NOMINAL
+from flexman_gym.envs.tasks import Slew
 from flexman_gym.model.state_space import first_order_lag
 from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.input_checks import warn_unusual_units
-from flexman_gym.scene.serialization import SUFFIXES, find_arm, to_plain
+from flexman_gym.scene.serialization import SUFFIXES, URDF, find_arm, to_plain
 
 NESTED_SETTINGS = ("arm", "task", "limits")  # settings with fields, such as arm.payload.mass
+DERIVED = ("control_period", "horizon", "limits")  # settings that follow from an arm of the user
 MAX_PERIODS = 10**9  # control periods; longest episode
 HINTS = {foreign: hint for setting in SETTINGS.values() for foreign, hint in setting.foreign.items()}
 SET_HELP = f"environment setting: {', '.join(SETTINGS)}; arm.payload.mass=0.5 changes a part"
@@ -56,12 +62,13 @@ class Configuration(EnvironmentSettings):
     """
 
     id: str
+    derived: dict[str, Any]  # settings that follow from the arm
     _given: dict[str, Any]
 
     def __init__(self, id: str = DEFAULT_ID, settings: Mapping[str, Any] | None = None, folder: Path = Path()) -> None:
         named, given = NAMED_ENVIRONMENTS[one_of("id", id, NAMED_ENVIRONMENTS)], dict(settings or {})
         if given.pop("condition", NOMINAL) != NOMINAL:
-            given = {**condition_settings(id, settings["condition"]), **given}  # type: ignore[index]
+            given = _with_condition(id, settings["condition"], given, folder)  # type: ignore[index]
         given = _checked_mapping(given)
         _refuse_unknown(given)
         if isinstance(given.get("limits"), str):
@@ -70,12 +77,16 @@ class Configuration(EnvironmentSettings):
                 allowed = f"Limits, a mapping of its arguments, or 'study' for {', '.join(known)}"
                 raise value_error("limits", given["limits"], allowed)
             given["limits"] = dict(named.study)
-        if isinstance(given.get("arm"), str) and given["arm"].endswith(SUFFIXES):
-            given["arm"] = to_plain(find_arm(given["arm"], folder))
-        vars(self).update(id=id, _given=given)
+        arm = given.get("arm")
+        if (isinstance(arm, str) and arm.endswith((*SUFFIXES, URDF))) or (isinstance(arm, dict) and "urdf" in arm):
+            given["arm"] = to_plain(find_arm(arm, folder))
+        vars(self).update(id=id, _given=given, derived={})
         for name, setting in SETTINGS.items():
             value = given.get(name, setting.default)
             vars(self)[name] = setting.check(getattr(named, name) if value is None and setting.named else value)
+        self._check_joints()
+        vars(self).update(derived=self._derive_settings())
+        vars(self).update(self.derived)
         self._check_together()
 
     def __setattr__(self, name: str, value: object) -> NoReturn:
@@ -101,13 +112,36 @@ class Configuration(EnvironmentSettings):
         )
         return "\n".join(lines)
 
-    def _check_together(self) -> None:
-        """Check the settings whose allowed values depend on other settings, and store torque limits and gains."""
+    def _check_joints(self) -> None:
+        """Check that each joint has a motor, and store the torque limits."""
         for i, joint in enumerate(self.arm.joints):
             if joint.passive:
                 allowed = "an arm with a motor at each joint: the actions of an environment are torques of all joints"
                 raise value_error(f"arm.joints[{i}].passive", True, allowed)
         vars(self)["torque_limit"] = self._torque_limits()
+
+    def _derive_settings(self) -> dict[str, Any]:
+        """Return the missing ones of control period, horizon and limits that follow from an arm of the user."""
+        missing = [name for name in DERIVED if self._given.get(name) is None]
+        if not missing or not self.has_own_arm or vars(self)["settings"] == "named":
+            return {}
+        found = derived_settings(self.arm, self.torque_limit, self.slew_span)
+        return {name: found[name] for name in missing}
+
+    @property
+    def slew_span(self) -> tuple[float, float]:
+        """Largest initial motor angle and largest change of a motor angle of the slews of the task, rad."""
+        task: Any = self.task
+        return float(getattr(task, "start", Slew.start)), float(getattr(task, "slew", Slew.slew))
+
+    @property
+    def has_own_arm(self) -> bool:
+        """True for an arm whose links or joints differ from those of the named environment."""
+        arm, named = self.arm, NAMED_ENVIRONMENTS[self.id].arm
+        return arm.links != named.links or arm.joints != named.joints
+
+    def _check_together(self) -> None:
+        """Check the settings whose allowed values depend on other settings, and store the gains."""
         if not 0.5 <= self.horizon / self.control_period <= MAX_PERIODS:
             allowed = f"1 to {MAX_PERIODS} control periods of {self.control_period} s"
             raise value_error("horizon", self.horizon, allowed)
@@ -209,7 +243,7 @@ class Configuration(EnvironmentSettings):
         return cls.load(name, changes)
 
     @property
-    def settings(self) -> dict[str, Any]:
+    def given(self) -> dict[str, Any]:
         """Copy of the settings given to the constructor; a condition is replaced by the settings it changes."""
         return dict(self._given)
 
@@ -245,6 +279,10 @@ class Configuration(EnvironmentSettings):
             plain["gains"] = {name: list(numbers) for name, numbers in self.gains.items()}
         if self.fidelity == "default":
             plain.setdefault("method", self._plain("method", self.method, strict))
+        if self.has_own_arm:  # without them another release may derive other ones
+            form = {"limits": Limits.to_plain}
+            plain |= {name: form.get(name, float)(value) for name, value in self.derived.items()}
+            plain["settings"] = "named"
         return {"id": self.id, **plain, "arm": to_plain(self.arm)}
 
     def _plain(self, name: str, value: Any, strict: bool) -> Any:
@@ -339,16 +377,21 @@ class Configuration(EnvironmentSettings):
 
     @property
     def pd_gains(self) -> Gains:
-        """PD gains by name: the setting gains, by default the gains tuned for the arm of the named environment.
+        """PD gains by name: the setting gains, by default those of the named environment, or designed for another arm.
+
+        An own arm, whose links or motors differ from the named environment, has the gains of `pd_design.design_pd`.
 
         Raises:
-            ValueError: without the setting, for an arm whose links or motors differ from the named environment.
+            ValueError: without the setting, for such an arm if no gains have stability margins at the control period.
         """
         named, gains = NAMED_ENVIRONMENTS[self.id], self.gains
-        if gains is None:
-            if _tuned_parts(self.arm) != _tuned_parts(named.arm):
+        if gains is None and _tuned_parts(self.arm) != _tuned_parts(named.arm):
+            if self._given.get("settings") == "named":
                 allowed = f"those of this arm, which flexman optimise gains finds: {self.id} has other links or motors"
                 raise value_error("gains", None, allowed)
+            designed: Gains = load_entry("flexman_gym.toolbox.controllers.pd_design:design_pd")(self)
+            return designed
+        if gains is None:
             return dict(named.pd)
         gains = mapping("gains", gains, ("stiffness", "damping"))
         if len(gains) < 2:
@@ -358,6 +401,16 @@ class Configuration(EnvironmentSettings):
 
 _LINES = (f"        {name}: {each.help}" + f" ({each.unit})" * bool(each.unit) for name, each in SETTINGS.items())
 Configuration.__doc__ = "\n".join([f"{Configuration.__doc__}\n    Attributes:", *_LINES])
+
+
+def _with_condition(id: str, condition: object, given: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """Return settings with those of a condition; for an arm of the user these are relative to its properties."""
+    if given.get("arm") is not None:
+        arm, named = find_arm(given["arm"], folder), NAMED_ENVIRONMENTS[one_of("id", id, NAMED_ENVIRONMENTS)].arm
+        if (arm.links, arm.joints) != (named.links, named.joints):
+            of_condition = condition_for_arm(id, condition, arm, given.get("torque_limit"))
+            return {**of_condition, **given, "arm": of_condition["arm"]}
+    return {**condition_settings(id, condition), **given}
 
 
 def _checked_mapping(data: object) -> dict[str, Any]:

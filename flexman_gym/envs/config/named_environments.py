@@ -31,6 +31,7 @@ class _NamedEnvironment:
         longest_step: longest step of the default method, s; random torques then cause no energy alarm.
         conditions: name of the folder with the conditions of the environment; "" for an environment without conditions.
         actions: see `Configuration`.
+        usual_payload: payload to which those of the conditions refer for an arm of the user, kg.
         study: arguments of `Limits` for the setting limits="study"; {} for an environment without them.
     """
 
@@ -44,6 +45,7 @@ class _NamedEnvironment:
     longest_step: float = 0.02 / 3.0
     conditions: str = ""
     actions: Any = "torque"
+    usual_payload: float = 1.0
     study: dict[str, Any] = field(default_factory=dict)
 
     @classmethod
@@ -138,4 +140,5 @@ def condition_settings(id: str, condition: object) -> dict[str, Any]:
     if one_of("condition", condition, condition_names(id)) == NOMINAL:
         return {}
     changes = files.read_data(CONDITION_FOLDER / named.conditions / f"{condition}.yaml", of_package=True)
-    return {name: _merged(named.plain(name), change) for name, change in changes.items()}
+    result = {name: _merged(named.plain(name), change) for name, change in changes.items()}
+    return result | ({"settings": "named"} if "arm" in result else {})  # it changes the arm, and keeps the rest

@@ -186,6 +186,12 @@ class EnvironmentSettings:
         foreign=dict.fromkeys(("dt", "timestep"), "control_period, the time in s between two actions, or step, that "
         "of the integrator"),
     )
+    settings: str = _setting(
+        "Source of control period, horizon and limits that are not given, for an arm whose links or joints differ from "
+        "those of the named environment. 'arm': they follow from the modes, rotors, motors and slews of the arm, see "
+        "describe; 'named': those of the named environment.",
+        partial(one_of, "settings", allowed=("arm", "named")), "arm",
+    )
     horizon: float = _setting(
         "Time after which an episode is truncated.", partial(positive, "horizon", unit="s"), unit="s", named=True,
         foreign=dict.fromkeys(("max_steps", "max_episode_length"), "horizon, the time in s after which an episode is "

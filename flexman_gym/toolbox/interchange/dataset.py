@@ -46,7 +46,7 @@ def record_dataset(
     if optional_module("minari.storage", "the export of datasets", "scale").get_dataset_path(name).exists():
         raise value_error("name", name, "a new name: a dataset of this name already exists")
     simulated = _without_agent(Configuration.find(environment))
-    single = gym.make(simulated.id, **simulated.settings)
+    single = gym.make(simulated.id, **simulated.given)
     tasks = [(agent, simulated, tuple(seeds[i : i + BLOCK])) for i in range(0, len(seeds), BLOCK)]
     blocks = parallel_map(_record_block, tasks, workers, prepare=compile_kernels)
     buffers = [
@@ -63,7 +63,7 @@ def record_dataset(
 def _without_agent(environment: Configuration) -> Configuration:
     """Return an environment without base controller, action repeat and action mode, of JSON-compatible settings."""
     plain = environment.to_plain()
-    names = (name for name in environment.settings if name not in ("base", "gains", "action_repeat", "actions"))
+    names = (name for name in environment.given if name not in ("base", "gains", "action_repeat", "actions"))
     return Configuration(environment.id, {name: plain[name] for name in names})
 
 
@@ -73,8 +73,8 @@ def _record_block(task: tuple[str, Configuration, tuple[int, ...]]) -> list[dict
     The argument is (agent, environment, seeds). Returns the data for Minari of each episode of the second simulation.
     """
     agent, simulated, seeds = task
-    names = [name for name in simulated.settings if name not in OBSERVATION_SETTINGS]
-    of_agent = Configuration(simulated.id, {name: simulated.settings[name] for name in names})
+    names = [name for name in simulated.given if name not in OBSERVATION_SETTINGS]
+    of_agent = Configuration(simulated.id, {name: simulated.given[name] for name in names})
     actions = np.nan_to_num(rollout(agent, of_agent, seeds).actions).astype(np.float32)
     venv = gym.make_vec(simulated.id, len(seeds), "vector_entry_point", autoreset_mode="Disabled", infos="at end",
                         **simulated.keywords())  # fmt: skip

@@ -236,7 +236,7 @@ def _is_lab(scenario: str) -> bool:
     """Return True if a scenario has the sensors of a laboratory, for agents that use measurable signals only."""
     where, _, change = scenario.partition("@")[0].rpartition("/")
     name = where if "=" in change else scenario.partition("@")[0]
-    return policy_folder(name) is None and Configuration.find(name).settings.get("sensors") == "lab"
+    return policy_folder(name) is None and Configuration.find(name).given.get("sensors") == "lab"
 
 
 def _read(

@@ -124,7 +124,7 @@ def all_conditions(name: str) -> dict[str, Any]:
     friction, general = (Configuration.find(f"{name}/{condition}") for condition in ("friction", "unknown"))
     return {
         "arm": friction.arm,
-        "randomisation": {**general.settings["randomisation"], "delay": (0, 2)},
+        "randomisation": {**general.given["randomisation"], "delay": (0, 2)},
     }
 
 

@@ -72,7 +72,7 @@ class ControlRow:
 
 
 def _friction_arm() -> dict[str, Any]:
-    arm: dict[str, Any] = Configuration.find("FlexRRR-v0/friction").settings["arm"]
+    arm: dict[str, Any] = Configuration.find("FlexRRR-v0/friction").given["arm"]
     return arm
 
 
@@ -166,7 +166,7 @@ CASES = (
 def run_case(case: ControlCase, episodes: int, seed: int) -> ControlRow:
     """Run the episodes of a case and return its row."""
     known = Configuration.find(case.environment)
-    settings = deepcopy(known.settings)
+    settings = deepcopy(known.given)
     for name, change in case.changes.items():
         settings[name] = settings.get(name, {}) | change if name == "randomisation" else change
     environment, setup = Configuration(known.id, settings), known

@@ -58,9 +58,9 @@ def test_scenarios_are_run_as_their_names_say_and_kept_beside_the_policy(folder,
         ("", {}),
         ("/payload=0:0.2+given", {"randomisation": {"payload_mass": [0.0, 0.2]}}),
         ("/delay=1", {"randomisation": {"delay": [1, 1]}}),
-        ("/friction=1+given", Configuration.find("FlexPlanar-v0/friction").settings),
+        ("/friction=1+given", Configuration.find("FlexPlanar-v0/friction").given),
     ):
-        expected = fm.evaluate("pd", Configuration("FlexPlanar-v0", {**DESCRIBED.settings, **changes}), SEEDS)
+        expected = fm.evaluate("pd", Configuration("FlexPlanar-v0", {**DESCRIBED.given, **changes}), SEEDS)
         shown = {each: expected[each] if np.isfinite(expected[each]) else None for each in METRIC_NAMES}
         assert {each: found[name][each] for each in METRIC_NAMES} == shown, name
     draws = range(certificate.SEARCH_SEED, certificate.SEARCH_SEED + 6)
@@ -299,7 +299,7 @@ def test_a_cell_of_a_certificate_is_the_episode_of_the_policy_in_its_own_changed
         span = [float(each) if "." in each or known != "delay" else int(each) for each in (value.split(":") * 2)[:2]]
         ranges = {"payload": ("payload_mass",), "delay": ("delay",), "noise": ("sensor_noise",),
                   "stiffness": ("joint_stiffness_factor", "link_stiffness_factor")}  # fmt: skip
-        settings = {"friction": lambda: {"arm": Configuration.find(f"{own.id}/friction").settings["arm"]},
+        settings = {"friction": lambda: {"arm": Configuration.find(f"{own.id}/friction").given["arm"]},
                     "method": lambda: {"method": value, "step": find_scenario(scenario).environment.step},
                     }.get(known, lambda: {"randomisation":
                         own.randomised_ranges | dict.fromkeys(ranges[known], span)})()  # fmt: skip

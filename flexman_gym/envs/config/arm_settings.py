@@ -1,0 +1,214 @@
+"""Settings that follow from an arm: control period, horizon and limits, from its modes, rotors, motors and slews."""
+
+import json
+import math
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from flexman_gym.common.arrays import Array
+from flexman_gym.common.checks import value_error
+from flexman_gym.envs.limits import Limits
+from flexman_gym.model.dynamics import mass_matrix
+from flexman_gym.model.model import Model, build_model
+from flexman_gym.model.statics import holding_torques, rest_state
+from flexman_gym.model.vibration import modes
+from flexman_gym.scene.arm import Arm
+from flexman_gym.scene.serialization import find_arm, to_plain
+
+SHOWN = 4  # number of modes
+SLEWS, SEED = 12, 1  # number of drawn slews, and their seed
+PEAK_ACCELERATION, PEAK_RATE = 10.0 / 3.0**0.5, 1.875  # of a minimum-jerk motion of 1 rad in 1 s, rad/s^2 and rad/s
+TORQUE_SHARE, SPEED_SHARE = 0.95, 0.85  # fractions of the limits that a slew uses
+PERIODS_PER_VIBRATION, PERIODS_PER_SLEW, PERIODS_PER_ROTOR = 40, 25, 8  # control periods in each of these times
+SHORTEST_PERIOD, LONGEST_PERIOD = 0.002, 0.02  # s; range of a derived control period
+SLEWS_PER_HORIZON, SLEWS_PER_LONG_HORIZON, LONG_HORIZON = 4.0, 2.0, 40.0  # times the longest slew, and beyond 40 s
+VIBRATIONS_PER_HORIZON, SHORTEST_HORIZON = 10.0, 5.0  # periods of the first mode; s
+LIMIT_FACTOR = 3.0  # limits of rates and twists / values of a slew at the torque limits
+
+
+class ArmFacts(NamedTuple):
+    """Properties of an arm from which settings follow.
+
+    Attributes:
+        held, free: frequencies (k,) of the first modes with motors held and free, Hz, at zero joint angles.
+        rotor: highest frequency of a rotor on its spring, Hz; 0 without elastic joints.
+        holding: (n,) largest holding torque of each joint / its torque limit, over the ends of the slews.
+        postures: (n, n) motor angles of these largest holding torques, rad; a row for each joint.
+        durations: (s,) durations of the slews, s: the shortest that the limits of torques and speeds and the first mode
+            allow.
+        rate: largest motor rate of the slews, rad/s.
+        reach: length of the stretched arm, m.
+    """
+
+    held: tuple[float, ...]
+    free: tuple[float, ...]
+    rotor: float
+    holding: Array
+    postures: Array
+    durations: Array
+    rate: float
+    reach: float
+
+    @property
+    def first_period(self) -> float:
+        """Period of the first mode with motors held, s; 0 for a rigid arm."""
+        return 1.0 / self.held[0] if self.held else 0.0
+
+
+def arm_facts(arm: Arm, torque_limit: Sequence[float], span: tuple[float, float] = (0.8, 0.8)) -> ArmFacts:
+    """Return the properties of an arm from which settings follow.
+
+    Args:
+        arm: the arm.
+        torque_limit: (n,) N m.
+        span: largest initial motor angle and largest change of a motor angle of the slews, rad.
+
+    Raises:
+        ValueError: for an arm that cannot hold its weight, with joint, posture, and the torque limit or the stiffness
+            that would do.
+    """
+    return _facts(json.dumps(to_plain(arm)), tuple(map(float, torque_limit)), (float(span[0]), float(span[1])))
+
+
+@lru_cache(maxsize=64)
+def _facts(plain: str, torque_limit: tuple[float, ...], span: tuple[float, float]) -> ArmFacts:
+    """Return the facts of an arm given by its JSON text, by which results are stored."""
+    arm = find_arm(json.loads(plain))
+    model, limits, n = build_model(arm, elements=2), np.array(torque_limit), arm.n_joints
+    random = np.random.default_rng(SEED)
+    starts = random.uniform(-span[0], span[0], (SLEWS, n))
+    changes = random.uniform(-span[1], span[1], (SLEWS, n))
+    ends = np.stack([starts, starts + changes], axis=1)
+    torques = np.abs([[holding_torques(model, posture) for posture in pair] for pair in ends])
+    shares = torques / limits
+    _check_holding(shares, ends, limits)
+    largest = shares.reshape(-1, n).argmax(axis=0)
+    held, free = (tuple(modes(model, motors=each).frequencies[:SHOWN].tolist()) for each in ("held", "free"))
+    durations = _slew_durations(model, arm, limits, (starts, changes), torques.max(axis=1))
+    rates = PEAK_RATE * np.abs(changes).max(axis=1) / durations
+    durations = np.maximum(durations, 1.0 / held[0] if held else 0.0)
+    springs = [each.stiffness / each.rotor_inertia for each in arm.joints if each.stiffness and not each.passive]
+    rotor = math.sqrt(max(springs, default=0.0)) / (2.0 * math.pi)
+    return ArmFacts(
+        held,
+        free,
+        rotor,
+        shares.reshape(-1, n).max(axis=0),
+        ends.reshape(-1, n)[largest],
+        durations,
+        float(rates.max()),
+        float(model.constants.length.sum()),
+    )
+
+
+def _check_holding(shares: Array, ends: Array, limits: Array) -> None:
+    """Raise ValueError if the motors cannot hold the weight at most of the postures (s, 2, n), rad."""
+    beyond = shares > 1.0
+    for i in np.flatnonzero(beyond.reshape(-1, len(limits)).mean(axis=0) > 0.5):
+        k = int(shares[..., i].argmax())
+        share, posture = shares[..., i].ravel()[k], ends.reshape(-1, len(limits))[k].round(2).tolist()
+        allowed = (
+            f"at least {share * limits[i]:.3g} N m: joint {i + 1} holds {share:.0%} of it at motor angles {posture} rad"
+        )
+        raise value_error(f"arm.joints[{i}].torque_limit", float(limits[i]), allowed)
+
+
+def _slew_durations(model: Model, arm: Arm, limits: Array, slews: tuple[Array, Array], holding: Array) -> Array:
+    """Return the durations (s,), s, of minimum-jerk slews at the limits of torques and motor speeds.
+
+    The inertia is that of motors and links without elastic deformation, in the middle of the slew.
+    """
+    starts, changes = slews
+    n, columns = model.n_joints, model.motor_columns
+    speeds = np.array([np.inf if speed is None else speed for speed in motor_speeds(arm)])
+    result = []
+    for start, change, weight in zip(starts, changes, holding, strict=True):
+        mass = mass_matrix(model, rest_state(model, start + change / 2.0))
+        inertia = mass[:n, :n] + np.diag(np.where(columns != np.arange(n), np.diag(mass)[columns], 0.0))
+        free = np.maximum(TORQUE_SHARE * limits - weight, (1.0 - TORQUE_SHARE) * limits)
+        by_torque = np.sqrt((PEAK_ACCELERATION * np.abs(inertia @ change) / free).max())
+        result.append(max(by_torque, (PEAK_RATE * np.abs(change) / (SPEED_SHARE * speeds)).max()))
+    return np.array(result)
+
+
+def motor_speeds(arm: Arm) -> list[float | None]:
+    """Return the largest speed of each motor at its joint, rad/s; None for a motor without a limit of its speed."""
+    return [None if joint.motor is None else joint.motor.joint_speed_limit for joint in arm.joints]
+
+
+def derived_settings(arm: Arm, torque_limit: Sequence[float], span: tuple[float, float]) -> dict[str, Any]:
+    """Return control_period, horizon and limits of an arm, rounded to 1, 2 or 5 times a power of ten.
+
+    The control period is the longest, from 2 to 20 ms, with 40 periods in the first mode with motors held, 25 in the
+    median slew and 8 in the fastest vibration of a rotor on its spring. The horizon is four of the longest slews (two
+    where that is more than 40 s), and at least ten periods of the first mode and 5 s. Limits of rates and twists are
+    three times the largest values of slews at the torque limits.
+
+    Args:
+        arm: as in `arm_facts`.
+        torque_limit: as in `arm_facts`.
+        span: as in `arm_facts`.
+
+    Raises:
+        ValueError: see `arm_facts`.
+    """
+    facts = arm_facts(arm, torque_limit, span)
+    longest = SLEWS_PER_HORIZON * float(facts.durations.max())
+    if longest > LONG_HORIZON:
+        longest *= SLEWS_PER_LONG_HORIZON / SLEWS_PER_HORIZON
+    horizon = max(longest, VIBRATIONS_PER_HORIZON * facts.first_period, SHORTEST_HORIZON)
+    return {
+        "control_period": max(SHORTEST_PERIOD, _round_down(min(LONGEST_PERIOD, wanted_period(facts)))),
+        "horizon": _round_up(horizon),
+        "limits": _derived_limits(arm, torque_limit, facts),
+    }
+
+
+def wanted_period(facts: ArmFacts) -> float:
+    """Return the control period that the modes, rotors and slews of an arm need, s."""
+    # below the first mode with held motors an arm with free motors swings under gravity
+    vibrations = [each for each in facts.free if each >= facts.held[0]] if facts.held else []
+    rotor = max(facts.rotor, *vibrations[:1], 0.0)
+    return min(
+        facts.first_period / PERIODS_PER_VIBRATION or math.inf,
+        float(np.median(facts.durations)) / PERIODS_PER_SLEW,
+        1.0 / (PERIODS_PER_ROTOR * rotor) if rotor else math.inf,
+    )
+
+
+def _derived_limits(arm: Arm, torque_limit: Sequence[float], facts: ArmFacts) -> Limits:
+    """Return limits of the rates, twists, deflection rates and tip speeds of an arm."""
+    rate, speeds = LIMIT_FACTOR * facts.rate, motor_speeds(arm)
+    if None not in speeds:
+        fastest = max(each for each in speeds if each is not None)
+        rate = max(min(rate, 2.0 * fastest), fastest)
+    twists = [
+        LIMIT_FACTOR * limit / joint.stiffness
+        for limit, joint in zip(torque_limit, arm.joints, strict=True)
+        if joint.stiffness is not None
+    ]
+    usual = Limits()
+    bending = usual.deflection * facts.reach * 2.0 * math.pi * (facts.held[0] if facts.held else 0.0)
+    tip = facts.reach * rate
+    return Limits(
+        rate=_round_up(rate),
+        twist=min(usual.twist, _round_up(max(twists))) if twists else usual.twist,
+        deflection_rate=_round_up(max(tip, bending)),
+        tip_speed=_round_up(max(tip, bending)),
+    )
+
+
+def _round_up(value: float) -> float:
+    """Return the least of 1, 2 and 5 times a power of ten that is at least a value, to a rounding error."""
+    power = math.floor(math.log10(value))
+    return next(float(f"{m}e{power}") for m in (1, 2, 5, 10, 20) if float(f"{m}e{power}") >= value * (1.0 - 1e-6))
+
+
+def _round_down(value: float) -> float:
+    """Return the largest of 1, 2 and 5 times a power of ten that is at most a value, to a rounding error."""
+    power = math.floor(math.log10(value))
+    fitting = [float(f"{m}e{power}") for m in (0.5, 1, 2, 5, 10) if float(f"{m}e{power}") <= value * (1.0 + 1e-6)]
+    return fitting[-1]
