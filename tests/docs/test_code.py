@@ -34,6 +34,8 @@ PAGES = [page for page, text in TEXTS.items() if "python" in [language for langu
 # What a command or a training of a page takes here, in place of what it says.
 LESS = {"--steps": "512", "--episodes": "2", "--eval-every": "256", "--seeds": "2"}
 LESS_EPISODES = (("flexman_agents.callbacks", "SELECTION_SEEDS", range(5000, 5002)),
+                 ("flexman_agents.guard", "SELECTION_SEEDS", range(5000, 5002)),
+                 ("flexman_gym.toolbox.league.arm_trial", "EPISODES", 2),
                  ("flexman_gym.evaluation.rollouts", "TEST_SEEDS", range(9000, 9002)))  # fmt: skip
 LESS_IN_PYTHON = (
     (r"STEPS = [\d_]+", "STEPS = 256"), (r"circles\(\d+\)", "circles(4)"), (r'-v0", 256', '-v0", 4'),
