@@ -54,14 +54,14 @@ def unknown_settings(environment: Configuration) -> dict[str, Any]:
     return {name: value for name, value in settings.items() if name != "arm"}
 
 
-def try_agents(environment: Configuration, agents: Mapping[str, str] = TRIAL_AGENTS) -> Iterator[Trial]:
+def try_agents(environment: Configuration, agents: Mapping[str, str] | None = None) -> Iterator[Trial]:
     """Yield the result of each controller in an environment, with fewer than 20 episodes where they take long.
 
     Args:
         environment: environment of the arm.
-        agents: name -> KNOWN or UNKNOWN.
+        agents: name -> KNOWN or UNKNOWN; None for TRIAL_AGENTS.
     """
-    for agent, knows in agents.items():
+    for agent, knows in (TRIAL_AGENTS if agents is None else agents).items():
         known = environment if knows == KNOWN else environment.replace(**unknown_settings(environment))
         start = process_time()
         try:
