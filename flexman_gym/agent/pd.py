@@ -166,5 +166,6 @@ ENTRY = ControllerEntry(
     (),
     ("stiffness", "damping"),
     "a PD of the motors, with gains for each arm, task and delay",
-    "by `flexman optimise gains`, about half a minute of computing time per environment, on the seeds 0 to 7",
+    "by `flexman optimise gains`, about half a minute of computing time per environment, on the seeds 0 to 7; "
+    "designed from a model for an own arm",
 )
