@@ -56,7 +56,7 @@ def describe(arm: Any, environment: str | Configuration = DEFAULT_ID, **settings
 
     Examples:
         >>> print(fm.describe(fm.catalog.planar_2r(), torque_limit=20.0).lines[1])
-        frequencies, motors held     2.97, 9.96, 50.6, 128 Hz
+        frequencies, motors held     2.47, 15.5, 32.9, 43.6 Hz
     """
     configuration = Configuration.find(environment).replace(arm=arm, **settings)
     facts = arm_facts(configuration.arm, configuration.torque_limit, configuration.slew_span)
