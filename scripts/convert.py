@@ -30,6 +30,7 @@ CERTIFICATE_KEYS = {"trials": "rows", "name": "scenario", "machine": "computer"}
 COLUMNS = {"entrant": "agent", "venue": "scenario", "room": "part"}  # heads of CSV files
 RUN_KEYS = {"judge": "evaluation"}  # of the state of a training run
 STATE_FIELDS = {
+    "_ages": "ages", "viscous_friction": "rotor_damping",
     "_apart": "_perturbations_reduced", "_following": "_paths", "_given_up": "_fallback_active", "_known": "_latest",
     "_looked": "_updated", "_own_coordinates": "_adapted_coordinates", "_own_torques": "_adapted_torques",
     "_pushed": "_filtering", "_residuals": "_detector", "_soft": "_compliance", "_tight": "_holding",
@@ -147,7 +148,11 @@ def present_state(data: Mapping[str, Any], environment: Configuration) -> dict[s
     if "acting" in data:  # the history and the observations were stored with the measurements
         episodes, rest = dict(data["episodes"]), {name: each for name, each in data.items() if name != "acting"}
         sight = dict(episodes.pop("sight"))
-        agent = {"_history": sight.pop("_history"), "observations": sight.pop("seen"), "_ages": episodes["_ages"]}
+        agent = {
+            "_history": sight.pop("_history"),
+            "observations": sight.pop("seen"),
+            "_ages": episodes.get("_ages", episodes.get("ages")),
+        }
         agent["command"] = 0.0 * present["agent"]["command"]
         data = rest | {"episodes": episodes | {"measurements": sight}, "agent": data["acting"] | agent}
     result: dict[str, Any] = _matched(data, present)

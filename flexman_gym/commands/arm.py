@@ -1,4 +1,4 @@
-"""Describe an arm of one's own: frequencies, settings that follow from them, and what cannot work.
+"""Describe an arm of one's own: its settings, and what cannot work.
 
 FILE is an arm file (.yaml, .json), a URDF, or the name of an arm of the catalog. With --try, controllers without
 training play 20 episodes each, and one of them is recommended.
