@@ -1,4 +1,4 @@
-"""Verify the model against closed-form solutions, or against results of papers."""
+"""Verify the model by closed-form solutions, or by results of papers."""
 
 import argparse
 from pathlib import Path
