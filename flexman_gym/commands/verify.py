@@ -1,4 +1,4 @@
-"""Verify the model by closed-form solutions, or by results of papers."""
+"""Verify the model by closed-form solutions or results of papers."""
 
 import argparse
 from pathlib import Path
