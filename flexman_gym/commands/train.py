@@ -30,7 +30,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
     algorithms = f"{', '.join(ALGORITHMS)} (default: that of the recipe, or ppo)"
     parser.add_argument("--algo", choices=ALGORITHMS, metavar="NAME", help=algorithms)
     add_options(parser, "--env", "--set", env={"help": "environment (flexman list environments) or file"})
-    parser.add_argument("--arm", metavar="FILE", help="arm file, URDF or name: the times of the recipe scale with it")
+    parser.add_argument("--arm", metavar="FILE", help="arm (file, URDF or name) to which the recipe scales")
     parser.add_argument("--keep-worse", action="store_true", help="keep a policy that settles less than its base")
     parser.add_argument("--steps", type=int, metavar="N", help="environment steps, summed over all arms")
     parser.add_argument("--seed", type=int, metavar="N", help="seed of the first run")
@@ -39,7 +39,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
         type=int,
         metavar="N",
         default=1,
-        help="number of runs, one per seed, in FOLDER/seed-N, and a table of all; resumable",
+        help="runs, one per seed, in FOLDER/seed-N, and a table",
     )
     parser.add_argument("--envs", type=int, metavar="N", help="number of parallel arms")
     parser.add_argument(
