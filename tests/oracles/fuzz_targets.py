@@ -199,7 +199,7 @@ TARGETS = {
         cost={"duration": 1.0},
     ),
     "an environment": Target(
-        controlled, PARTS | {"base": "lqr", "torque_limit": 2.0, "control_period": 0.02},
+        controlled, PARTS | {"base": "lqr", "torque_limit": 20.0, "control_period": 0.02},
         ("torque_limit", "control_period"), weight=6.0, cost={"control_period": 1.0},
     ),
     "Settings": Target(Settings.from_dict, {"data": TRAINING}, weight=3.0),
