@@ -18,7 +18,7 @@ from flexman_gym.toolbox.controllers.margins import (
     margins,
     sampled_loops,
 )
-from flexman_gym.toolbox.controllers.pd_design import PDDesign
+from flexman_gym.toolbox.controllers.pd_design import POSTURES, PDDesign
 from studies.servos.measure import AT_REST, FrictionCase, friction_rows, remaining_vibration, smoothed_loop
 
 PERIOD = 0.01
@@ -115,13 +115,14 @@ DELAYED = [f"{name}/{each}" for name in ("FlexRRR-v0", "FlexPlanar-v0", "FlexRRR
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [*NAMED_ENVIRONMENTS, *DELAYED])
 def test_the_pd_of_every_environment_has_a_gain_margin_of_two_and_a_phase_margin_of_thirty_degrees(name, monkeypatch):
-    """At goals of its first episodes, with its delay; of random delays up to two periods no gains have it."""
+    """At the goals of its first four episodes, with its delay; of random delays up to two periods no gains have it."""
     factors, shifts = GAIN_FACTORS[GAIN_FACTORS < 2.01], PHASE_SHIFTS[PHASE_SHIFTS <= 30.0]  # no more
     monkeypatch.setattr("flexman_gym.toolbox.controllers.margins.GAIN_FACTORS", factors)
     monkeypatch.setattr("flexman_gym.toolbox.controllers.margins.PHASE_SHIFTS", shifts)
     environment = Configuration.find(name)
     gains = environment.pd_gains
-    reached = margins(PDDesign(environment).loops, gains["stiffness"], gains["damping"])
+    loops = [loop for number, loop in enumerate(PDDesign(environment).loops) if number % POSTURES < 4]
+    reached = margins(loops, gains["stiffness"], gains["damping"])
     assert reached.gain >= MIN_MARGINS.gain * (1.0 - 1e-9) and reached.phase >= MIN_MARGINS.phase
 
 

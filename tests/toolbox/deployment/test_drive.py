@@ -251,7 +251,7 @@ def test_the_torques_of_the_log_are_those_that_the_machine_measured():
 def test_a_fit_finds_the_stiffness_of_the_machine_from_the_log(tmp_path):
     arm = ENVIRONMENT.arm
     softer = replace(arm, joints=(replace(arm.joints[0], stiffness=0.8 * arm.joints[0].stiffness),))
-    plant = ENVIRONMENT.replace(arm=softer, gains=ENVIRONMENT.pd_gains)
+    plant = ENVIRONMENT.replace(arm=softer, gains=ENVIRONMENT.pd_gains, settings="named")
     log = fm.Episode.load(run("pd-torque", FakeMachine(plant, 9000, LAB), seconds=2.0).save(tmp_path / "log.npz"))
     found = fm.fit(arm, "joint_stiffness", records=[log])
     assert found.values["joint_stiffness"][0] == pytest.approx(softer.joints[0].stiffness, rel=0.02)

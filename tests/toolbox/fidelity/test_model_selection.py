@@ -269,7 +269,7 @@ def test_an_environment_chooses_its_fidelity():
     env = FlexManEnv(arm=fm.catalog.planar_2r(joint_stiffness=50.0), torque_limit=0.2, fidelity="auto", tolerance=0.01)
     assert env.choice is not None and env.choice.estimated_error <= 0.01
     assert env.simulator.model is env.choice.model and env.simulator.method.name == env.choice.method
-    assert 0.02 / env.choice.step == pytest.approx(env.simulator.substeps)
+    assert env.simulator.control_period / env.choice.step == pytest.approx(env.simulator.substeps)
     env.reset(seed=0)
     assert env.step(np.zeros(2))[4]["status"] == "ok"
 
