@@ -11,7 +11,7 @@ from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.model.state_space import natural_modes
 from flexman_gym.model.statics import rest_tips
 from flexman_gym.model.vibration import rotating_frequencies
-from flexman_gym.toolbox.controllers.input_shaping.shapers import excited_modes
+from flexman_gym.toolbox.controllers.excited_modes import excited_modes
 from flexman_gym.toolbox.controllers.lqr import LQR
 
 from oracles.assertions import refusal

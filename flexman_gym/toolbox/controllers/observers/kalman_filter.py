@@ -39,11 +39,21 @@ def measurement_update(covariance: Array, matrix: Array, variances: Array) -> tu
 
 
 def stationary_covariance(transition: Array, noise: Array, matrix: Array, variances: Array) -> Array:
-    """Return the stationary covariances (..., s, s) before a measurement.
+    """Return the stationary covariances (..., s, s) before a measurement; entries of unobservable states are infinite.
+
+    Arguments as in `time_update` and `measurement_update`.
+    """
+    result, before = late_covariances(transition, noise, matrix, variances)
+    now, earlier = (np.diagonal(each, axis1=-2, axis2=-1) for each in (result, before))
+    unbounded = now > (1.0 + VARIANCE_TOLERANCE) * earlier
+    return np.where(unbounded[..., None] | unbounded[..., None, :], np.inf, result)
+
+
+def late_covariances(transition: Array, noise: Array, matrix: Array, variances: Array) -> tuple[Array, Array]:
+    """Return the covariances (..., s, s) after 2^MAX_DOUBLINGS periods, and after half as many.
 
     Each iteration of the doubling algorithm doubles the number of periods and needs no eigenvalues (Anderson,
-    International Journal of Control 28, 1978, 295). Arguments as in `time_update` and `measurement_update`. Entries of
-    unobservable states are infinite.
+    International Journal of Control 28, 1978, 295). Arguments as in `stationary_covariance`.
     """
     alpha, information, result = transition.mT, (matrix.T / variances) @ matrix, noise
     before, eye = result, np.eye(matrix.shape[1])
@@ -55,10 +65,10 @@ def stationary_covariance(transition: Array, noise: Array, matrix: Array, varian
         size = len(eye)
         product, weighted = solved[..., :size], solved[..., size:]
         result = _symmetric_part(result + alpha.mT @ result @ product)
+        if np.array_equal(result, before):  # the rest changes no digit: powers of alpha decrease
+            break
         information, alpha = _symmetric_part(information + alpha @ weighted @ alpha.mT), alpha @ product
-    now, earlier = (np.diagonal(each, axis1=-2, axis2=-1) for each in (result, before))
-    unbounded = now > (1.0 + VARIANCE_TOLERANCE) * earlier
-    return np.where(unbounded[..., None] | unbounded[..., None, :], np.inf, result)
+    return result, before
 
 
 def _symmetric_part(matrix: Array) -> Array:
