@@ -20,6 +20,7 @@ RETIMING_TIMES = (6, 12, 20, 30, 45)  # time units since the start of an episode
 LAST_RETIMING = 0.75  # path parameter beyond which the timing is not replanned
 RETURN_TIME = 1.0  # s; time for which a model must explain the readings before a fallback controller ends
 ADAPTATION_INTERVAL = 5  # time units between two adaptations of references to the estimates
+END_INTERVAL = 25  # time units between two computations of the static equilibrium at the end of a path
 
 
 class Tracking:
@@ -59,7 +60,8 @@ class Tracking:
         payloads = (low, 0.5 * (low + high), high) if high > low else (low,)
         self.limits, self._period = np.array(plant.torque_limit), plant.period
         self._paths = PathReferences(model, plant.period, payloads)
-        self.slews = SlewReferences(model, scales.bounds(self.limits, FEEDFORWARD_FRACTION), payloads, scales.slew)
+        bounds, self._equilibrium = scales.bounds(self.limits, FEEDFORWARD_FRACTION), not scales.named
+        self.slews = SlewReferences(model, bounds, payloads, scales.slew, self._equilibrium)
         tight = weights._replace(tip=HOLDING_FACTOR * weights.tip)
         nodes = payloads if scales.named else spread(payloads)
         self._gains = [
@@ -175,9 +177,14 @@ class Tracking:
             start = np.where(self._holding[first, None], self._goal[first], estimate.states[first][:, self._motors])
             self.slews.begin(first, start, self._goal[first])
             self.slews.adapt(first, estimate.parameters)
+            if self._equilibrium:
+                self.slews.end_in_equilibrium(first, estimate.parameters)
             self.slews.plan_timing(first, self.clock(estimate, first), first=True)
         retimed = arms[(self._ages[arms, None] == self._retimed).any(axis=1)] if estimate.parameters else arms[:0]
         self.slews.adapt(np.union1d(arms[due], retimed), estimate.parameters)
+        if self._equilibrium and estimate.parameters:
+            ended = due & (self._ages[arms] % (self.unit * END_INTERVAL) == 0)
+            self.slews.end_in_equilibrium(arms[ended], estimate.parameters)
         if len(retimed):
             retimed = retimed[self.slews.at(self.clock(estimate, retimed), retimed)[0] < LAST_RETIMING]
             self.slews.plan_timing(retimed, self.clock(estimate, retimed), first=False)

@@ -277,3 +277,41 @@ def test_a_slew_is_timed_with_the_friction_that_was_found():
     assert usual.motion(*[0.5 * usual.duration] * 2, ONE)[1] == pytest.approx(
         begun(model(**RUBBING)).motion(*[0.5 * usual.duration] * 2, ONE)[1]
     )
+
+
+@pytest.mark.parametrize("goal", [(0.7, 0.5), (0.4, 0.12)])
+def test_a_slew_ends_in_the_equilibrium_of_the_estimated_arm_with_the_tip_of_the_nominal_arm(goal):
+    """The second goal is nearly stretched: its tip moves along the arm by large rotations only."""
+    own, goal = model(), np.array(goal)
+    given = {"payload_mass": 0.2, "joint_stiffness": 0.7 * own.constants.joint_stiffness}
+    parameters = {name: np.array([value]) for name, value in given.items()}
+    slews = SlewReferences(own, BOUNDS, PAYLOADS, equilibrium=True)
+    slews.allocate(1)
+    slews.begin(ONE, START, goal[None])
+    slews.adapt(ONE, parameters)
+    linear = slews.motion(np.array([9.0]), np.array([9.0]), ONE)[0][0]
+    for _ in range(3):
+        slews.end_in_equilibrium(ONE, parameters)
+    slews.plan_timing(ONE, np.zeros(1), first=True)
+    late = slews.duration + 1.0
+    (state,), (torques,) = slews.motion(late, late, ONE)
+    estimated, end = varied_model(own, **given), goal + slews.shift[0]
+    assert state == pytest.approx(fm.rest_state(estimated, end), abs=1e-9)
+    assert torques == pytest.approx(fm.holding_torques(estimated, end), abs=1e-9)
+    (tip,), (target,) = rest_tips(estimated, end[None]), rest_tips(own, goal[None])
+    assert tip == pytest.approx(target, abs=1e-4)
+    assert np.abs(linear - state).max() > 1e-3
+    slews.adapt(ONE, parameters)
+    assert slews.motion(late, late, ONE)[0][0] == pytest.approx(state, abs=1e-12)
+
+
+def test_a_slew_keeps_its_end_for_an_estimated_arm_that_cannot_hold_its_weight():
+    own = model()
+    slews = SlewReferences(own, BOUNDS, PAYLOADS, equilibrium=True)
+    slews.allocate(1)
+    slews.begin(ONE, START, GOAL)
+    slews.end_in_equilibrium(ONE, {"payload_mass": np.array([0.2])})
+    before = slews.shift.copy()
+    assert before.any()
+    slews.end_in_equilibrium(ONE, {"joint_stiffness": np.full((1, 2), 1e-3)})
+    assert np.array_equal(slews.shift, before)

@@ -67,6 +67,8 @@ class SlewReferences:
         bounds: bounds of torques, rates and durations.
         payloads: masses of one or three payloads, kg, from the lightest to the heaviest.
         slew: duration of a slew of the arm, s, to which the durations that are tried are in proportion.
+        equilibrium: True if `end_in_equilibrium` chooses the ends of the paths; False for a linear approximation by the
+            estimated compliance in each `adapt`, whose error grows with the square of the deflection.
 
     Attributes:
         durations: (k,) durations that are tried, s.
@@ -77,11 +79,19 @@ class SlewReferences:
     state_fields = (
         "start", "displacement", "shift", "coefficients", "start_time", "duration", "_coordinates", "_torques",
         "_compliance", "_friction", "_adapted_coordinates", "_adapted_torques", "time_scaling", "pace_rate",
-        "_shortest", "_adapted_shortest", "_begin_time",
+        "_shortest", "_adapted_shortest", "_begin_time", "_end_coordinates", "_end_torques",
     )  # fmt: skip
 
-    def __init__(self, model: Model, bounds: SlewBounds, payloads: Sequence[float], slew: float = USUAL_SLEW) -> None:
+    def __init__(
+        self,
+        model: Model,
+        bounds: SlewBounds,
+        payloads: Sequence[float],
+        slew: float = USUAL_SLEW,
+        equilibrium: bool = False,
+    ) -> None:
         self.model, self._bounds, self.durations = model, bounds, candidate_durations(slew)
+        self._equilibrium = equilibrium
         self._payloads = np.array(payloads, dtype=float)
         self._models = [varied_model(model, payload_mass=mass) for mass in payloads]
         self._compensation = DeflectionCompensation(model)
@@ -95,6 +105,7 @@ class SlewReferences:
         self._compliance, self._friction = np.zeros((0, d)), np.zeros((0, 2, n))
         self._shortest, self._adapted_shortest, self._begin_time = np.zeros((0, p)), np.zeros(0), np.zeros(0)
         self.time_scaling, self.pace_rate = np.zeros(0), np.zeros(0)
+        self._end_coordinates, self._end_torques = np.zeros((0, d)), np.zeros((0, n))  # changes at the end of a path
         self._cached_paths: dict[tuple[bytes, bytes], list[_PathTables]] = {}
         self._flexible = model.constants.motor >= 0
         self._bent, self._motors = np.flatnonzero(self._flexible), model.motor_columns
@@ -108,6 +119,7 @@ class SlewReferences:
         """Start paths of the arms (r,) between motor angles (r, n) rad; `adapt` and `plan_timing` complete them."""
         self.start[arms], self.displacement[arms], self.shift[arms] = start, goal - start, 0.0
         self.time_scaling[arms], self.pace_rate[arms] = 1.0, 0.0
+        self._end_coordinates[arms], self._end_torques[arms] = 0.0, 0.0
         for arm, first, last in zip(arms, start, goal, strict=True):
             key = first.tobytes(), last.tobytes()
             if key not in self._cached_paths:
@@ -150,8 +162,39 @@ class SlewReferences:
             adapted[arms] = (weights[:, :, None, None, None] * table[arms]).sum(axis=1)
         softest = np.sqrt(self._compliance[arms].max(axis=1))  # period / period of the nominal arm, at most
         self._adapted_shortest[arms] = softest * (weights * self._shortest[arms]).sum(axis=1)
-        if self.model.constants.gravity.any():
+        if self._equilibrium:
+            for table, end in (
+                (self._adapted_coordinates, self._end_coordinates),
+                (self._adapted_torques, self._end_torques),
+            ):
+                table[arms, :, REST] += PATH_POINTS[:, None] * end[arms, None]
+        elif self.model.constants.gravity.any():
             self._correct_goal(arms)
+
+    def end_in_equilibrium(self, arms: IntArray, parameters: Mapping[str, Array]) -> None:
+        """Move the ends of the paths of the arms (r,) to the static equilibrium of arms with the estimated parameters.
+
+        The tip of the equilibrium is the tip at which the nominal arm rests. Deflections and torques at rest change
+        along the path in proportion to its parameter. An estimated arm that is too compliant for its weight keeps the
+        end that it has. Nothing changes without gravity.
+        """
+        if not self.model.constants.gravity.any():
+            return
+        d = self.model.n_dof
+        for arm in arms:
+            goal, estimated = self.start[arm] + self.displacement[arm], _estimated_model(self.model, parameters, arm)
+            target, end = rest_state(self.model, goal)[:d], goal + self.shift[arm]
+            try:
+                for _ in range(NEWTON_ITERATIONS):
+                    end = end + self._compensation.damped_rotation(target, rest_state(estimated, end)[:d])
+                sag = rest_state(estimated, end)[:d] - estimated.at_rest(end[None])[0, :d]
+                torques = holding_torques(estimated, end)
+            except ValueError:
+                continue
+            self.shift[arm] = end - goal
+            self._end_coordinates[arm] += sag / self._compliance[arm] - self._adapted_coordinates[arm, -1, REST]
+            self._end_torques[arm] += torques - self._adapted_torques[arm, -1, REST]
+        self.adapt(arms, parameters)
 
     def _correct_goal(self, arms: IntArray) -> None:
         """Shift the ends of the paths of the arms (r,) so that the tips come to rest where the nominal arm would."""
@@ -298,6 +341,12 @@ def _adaptation_factors(
         links = np.repeat(np.arange(n), np.diff(model.constants.elastic_start))
         compliance[:, model.n_dof - len(links) :] = 1.0 / parameters["link_stiffness_factor"][arms][:, links]
     return weights, compliance
+
+
+def _estimated_model(model: Model, parameters: Mapping[str, Array], arm: int) -> Model:
+    """Return the model of an arm with its estimated payload and stiffness."""
+    names = "payload_mass", "joint_stiffness", "link_stiffness_factor"
+    return varied_model(model, **{name: parameters[name][arm] for name in names if name in parameters})
 
 
 class PathReferences:

@@ -111,6 +111,7 @@ TIMING_LAWS = {  # name -> timing law from 0 to 1 with duration 1; the phases ha
 
 DEFLECTION_PASSES = 3  # fixed-point iterations of the deflection under the inertia of the deflected arm
 SINGULAR_CUTOFF = 0.05  # fraction of the largest singular value of the tip Jacobian; smaller ones are excluded
+STEP_DAMPING = 0.01  # fraction of the largest singular value; damping of a step towards a tip position
 SOLVE_INTERVAL = 4  # control periods between two points of a path at which the deflection is computed
 REST_POINTS = 6  # number of points at rest before the start of a path at which the deflection is computed
 PATH_SAMPLES = 21  # number of points of a path at which torques are compared with their limits
@@ -339,11 +340,26 @@ class DeflectionCompensation:
 
         Directions of the tip with small singular values are excluded, since they would require large rotations.
         """
+        jacobian, error = self._linearised(rest, deflected)
+        result: Array = np.linalg.pinv(jacobian, rcond=SINGULAR_CUTOFF) @ error
+        return result
+
+    def damped_rotation(self, rest: Array, deflected: Array) -> Array:
+        """Return the rotation (n,) rad of a damped least-squares step, see `rotation`; repeated steps converge.
+
+        An arm that is nearly stretched reaches the tip of `rest` in all directions after a few steps (Wampler, IEEE
+        Transactions on Systems, Man, and Cybernetics 16, 1986, 93).
+        """
+        jacobian, error = self._linearised(rest, deflected)
+        damping = (STEP_DAMPING * np.linalg.norm(jacobian, 2)) ** 2
+        result: Array = jacobian.T @ np.linalg.solve(jacobian @ jacobian.T + damping * np.eye(3), error)
+        return result
+
+    def _linearised(self, rest: Array, deflected: Array) -> tuple[Array, Array]:
+        """Return the Jacobian (3, n) of the tip at deflected coordinates (d,), and the distance to its target (3,), m."""
         velocity = self._rotations[0]  # any velocity: positions do not depend on it
         target, tip = self._outputs(rest, velocity)[TIP].copy(), self._outputs(deflected, velocity)[TIP].copy()
-        jacobian = np.array([self._outputs(deflected, each)[TIP_VELOCITY].copy() for each in self._rotations]).T
-        result: Array = np.linalg.pinv(jacobian, rcond=SINGULAR_CUTOFF) @ (target - tip)
-        return result
+        return np.array([self._outputs(deflected, each)[TIP_VELOCITY].copy() for each in self._rotations]).T, target - tip
 
     def _outputs(self, x: Array, v: Array) -> Array:
         outputs.compute_outputs(self._model.constants, self._work, x, v, self._row)
