@@ -163,11 +163,8 @@ class SlewReferences:
         softest = np.sqrt(self._compliance[arms].max(axis=1))  # period / period of the nominal arm, at most
         self._adapted_shortest[arms] = softest * (weights * self._shortest[arms]).sum(axis=1)
         if self._equilibrium:
-            for table, end in (
-                (self._adapted_coordinates, self._end_coordinates),
-                (self._adapted_torques, self._end_torques),
-            ):
-                table[arms, :, REST] += PATH_POINTS[:, None] * end[arms, None]
+            self._adapted_coordinates[arms, :, REST] += PATH_POINTS[:, None] * self._end_coordinates[arms, None]
+            self._adapted_torques[arms, :, REST] += PATH_POINTS[:, None] * self._end_torques[arms, None]
         elif self.model.constants.gravity.any():
             self._correct_goal(arms)
 

@@ -356,10 +356,11 @@ class DeflectionCompensation:
         return result
 
     def _linearised(self, rest: Array, deflected: Array) -> tuple[Array, Array]:
-        """Return the Jacobian (3, n) of the tip at deflected coordinates (d,), and the distance to its target (3,), m."""
+        """Return the Jacobian (3, n) of the tip at deflected coordinates (d,), and its way to the target (3,), m."""
         velocity = self._rotations[0]  # any velocity: positions do not depend on it
         target, tip = self._outputs(rest, velocity)[TIP].copy(), self._outputs(deflected, velocity)[TIP].copy()
-        return np.array([self._outputs(deflected, each)[TIP_VELOCITY].copy() for each in self._rotations]).T, target - tip
+        jacobian = np.array([self._outputs(deflected, each)[TIP_VELOCITY].copy() for each in self._rotations]).T
+        return jacobian, target - tip
 
     def _outputs(self, x: Array, v: Array) -> Array:
         outputs.compute_outputs(self._model.constants, self._work, x, v, self._row)
