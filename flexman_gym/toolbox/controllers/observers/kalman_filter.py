@@ -13,6 +13,7 @@ from flexman_gym.toolbox.controllers.internal_model import DelayCompensation, Di
 from flexman_gym.toolbox.controllers.observers.observer import MAX_BIAS, Estimate, MeasurementModel
 
 MAX_DOUBLINGS = 20  # number of doublings, for 2^20 periods, about a million
+SMALL_POWER = 1e-8  # entry of a power of the transition matrix whose square is below a rounding error
 VARIANCE_TOLERANCE = 1e-6  # relative growth of a variance in the last doubling above which it counts as infinite
 
 
@@ -65,7 +66,7 @@ def late_covariances(transition: Array, noise: Array, matrix: Array, variances: 
         size = len(eye)
         product, weighted = solved[..., :size], solved[..., size:]
         result = _symmetric_part(result + alpha.mT @ result @ product)
-        if np.array_equal(result, before):  # the rest changes no digit: powers of alpha decrease
+        if np.abs(alpha).max() < SMALL_POWER and np.array_equal(result, before):  # what follows changes no digit
             break
         information, alpha = _symmetric_part(information + alpha @ weighted @ alpha.mT), alpha @ product
     return result, before

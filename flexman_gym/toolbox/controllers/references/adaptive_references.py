@@ -189,9 +189,13 @@ class SlewReferences:
             except ValueError:
                 continue
             self.shift[arm] = end - goal
-            self._end_coordinates[arm] += sag / self._compliance[arm] - self._adapted_coordinates[arm, -1, REST]
-            self._end_torques[arm] += torques - self._adapted_torques[arm, -1, REST]
-        self.adapt(arms, parameters)
+            for kept, table, rest in (
+                (self._end_coordinates, self._adapted_coordinates, sag / self._compliance[arm]),
+                (self._end_torques, self._adapted_torques, torques),
+            ):
+                change = rest - table[arm, -1, REST]
+                kept[arm] += change
+                table[arm, :, REST] += PATH_POINTS[:, None] * change
 
     def _correct_goal(self, arms: IntArray) -> None:
         """Shift the ends of the paths of the arms (r,) so that the tips come to rest where the nominal arm would."""
