@@ -32,13 +32,14 @@ from flexman_gym.model.statics import rest_state
 from flexman_gym.toolbox.controllers.input_shaping.shaped_controller import InputShapedController
 from flexman_gym.toolbox.controllers.lqr import LQR, TrackingLQR
 from flexman_gym.toolbox.controllers.observers.kalman_filter import KalmanFilter
+from flexman_gym.toolbox.controllers.output_feedback import OutputFeedback
 from flexman_gym.toolbox.controllers.range_check import (
     HOLDING_FALL,
     RangeCheckedController,
     compensated_model,
     holding_periods,
 )
-from flexman_gym.toolbox.controllers.tracking import OutputFeedback, Tracking
+from flexman_gym.toolbox.controllers.tracking import Tracking
 from flexman_gym.toolbox.deployment import c_templates as c
 
 EXPORTED = (

@@ -17,7 +17,8 @@ from flexman_gym.metrics import settling_time
 from flexman_gym.simulation.physical_parameters import varied_model
 from flexman_gym.toolbox.controllers.lqr import HOLDING_FACTOR, LQR
 from flexman_gym.toolbox.controllers.observers.observer import Estimate
-from flexman_gym.toolbox.controllers.tracking import OutputFeedback, Tracking
+from flexman_gym.toolbox.controllers.output_feedback import OutputFeedback
+from flexman_gym.toolbox.controllers.tracking import Tracking
 
 from oracles.assertions import refusal, same_side_by_side
 from oracles.observed_arms import POSTURES, SMALL, World, plant, small_plant
