@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from flexman_gym.agent.action_modes import MAX_OBSERVATION, ActionMode
 from flexman_gym.agent.controller import Controller, EpisodeInfo, Readings
 from flexman_gym.common.arrays import Array, BoolArray, IntArray, pad_rows
-from flexman_gym.common.checks import value_error
+from flexman_gym.common.errors import value_error
 
 Law = Callable[[NDArray[np.float32]], NDArray[Any]]  # observations (b, size) -> commands (b, k) from -1 to 1
 MAX_HISTORY = 1000  # largest number of observations in a history

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexman_gym.common.arrays import Array, BoolArray, IntArray, Vector
-from flexman_gym.common.checks import check_member_names, value_error
+from flexman_gym.common.checks import check_member_names
+from flexman_gym.common.errors import value_error
 from flexman_gym.model.model import Model
 from flexman_gym.simulation.methods import DEFAULT_METHOD, Method
 

@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexman_gym.common.arrays import Array, row_dots
-from flexman_gym.common.checks import is_decimal_integer, one_of, value_error
+from flexman_gym.common.checks import is_decimal_integer, one_of
+from flexman_gym.common.errors import value_error
 
 ACTIVATION_FUNCTIONS: dict[str, Callable[[Array], Array]] = {
     "tanh": np.tanh,

@@ -7,7 +7,7 @@ from itertools import takewhile
 from pathlib import Path
 
 from flexman_gym.commands import CommandLine
-from flexman_gym.common.checks import suggestion
+from flexman_gym.common.errors import suggestion
 
 KINDS = ("environments", "conditions", "controllers", "policies", "sensors", "methods", "arms", "recipes", "examples")
 PACKAGE_FOLDER = Path(__file__).parents[1]

@@ -12,7 +12,8 @@ from gymnasium import spaces
 from flexman_gym.agent.agent import Agent
 from flexman_gym.agent.controller import Controller, EpisodeInfo
 from flexman_gym.common.arrays import Array, BoolArray, IntArray
-from flexman_gym.common.checks import number_array, one_of, sample_count, value_error
+from flexman_gym.common.checks import number_array, one_of, sample_count
+from flexman_gym.common.errors import value_error
 from flexman_gym.common.snapshot import get_state, set_state
 from flexman_gym.envs.active_effects import ActiveEffects
 from flexman_gym.envs.compiled_period import CompiledPeriod

@@ -13,7 +13,8 @@ from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
 from flexman_gym.agent.network import Network, policy_parameters
-from flexman_gym.common.checks import key_error, mapping, one_of, short_repr, value_error
+from flexman_gym.common.checks import mapping, one_of
+from flexman_gym.common.errors import key_error, short_repr, value_error
 from flexman_gym.common.files import existing_file, reading, regular_file, write_atomically
 from flexman_gym.common.run_folder import check_keys, check_method
 

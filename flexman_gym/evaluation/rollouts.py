@@ -13,7 +13,8 @@ import numpy as np
 
 from flexman_gym.agent.controller import Controller
 from flexman_gym.common.arrays import Array, IntArray
-from flexman_gym.common.checks import value_error, whole_number
+from flexman_gym.common.checks import whole_number
+from flexman_gym.common.errors import value_error
 from flexman_gym.common.progress import Progress
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.episodes import Episodes, validate_actions

@@ -11,7 +11,7 @@ from typing import NamedTuple, Self
 import numpy as np
 
 from flexman_gym.common.arrays import Array
-from flexman_gym.common.checks import value_error
+from flexman_gym.common.errors import value_error
 from flexman_gym.model.beam import Beam
 from flexman_gym.scene.arm import Arm
 

@@ -8,7 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from flexman_gym.common.arrays import Array, Vector
-from flexman_gym.common.checks import check_magnitudes, instance, value_error, vector, warn_caller
+from flexman_gym.common.checks import check_magnitudes, instance, vector
+from flexman_gym.common.errors import value_error, warn_caller
 from flexman_gym.kernels import layout
 from flexman_gym.kernels.layout import LANES
 from flexman_gym.model.beam import Beam, build_beam

@@ -15,7 +15,8 @@ from flexman_gym.agent.base_controllers import ControllerEntry
 from flexman_gym.agent.controller import EpisodeInfo, Plant, Readings, saturated
 from flexman_gym.agent.pd import torque_limits
 from flexman_gym.common.arrays import Array, BoolArray, IntArray, Vector, pad_rows, row_dots
-from flexman_gym.common.checks import check_solvable, mapping, one_of, positive, value_error
+from flexman_gym.common.checks import check_solvable, mapping, one_of, positive
+from flexman_gym.common.errors import value_error
 from flexman_gym.common.files import READ_ERRORS, open_arrays
 from flexman_gym.kernels.cache import find_cache_folder
 from flexman_gym.model.friction import frictionless

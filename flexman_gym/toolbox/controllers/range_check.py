@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from flexman_gym.agent.controller import Controller, EpisodeInfo, Readings, checked_controller
 from flexman_gym.agent.pd import torque_limits
 from flexman_gym.common.arrays import Array, BoolArray, IntArray
-from flexman_gym.common.checks import value_error
+from flexman_gym.common.errors import value_error
 from flexman_gym.model.model import Model
 from flexman_gym.model.statics import rigid_holding_torques
 from flexman_gym.toolbox.controllers.input_shaping.shaped_controller import InputShapedController

@@ -7,7 +7,8 @@ import numpy as np
 from flexman_gym.agent.action_modes import MAX_OBSERVATION, ActionModeEntry
 from flexman_gym.agent.controller import Controller, EpisodeInfo, Plant, Readings
 from flexman_gym.common.arrays import Array, BoolArray, IntArray
-from flexman_gym.common.checks import non_negative, value_error
+from flexman_gym.common.checks import non_negative
+from flexman_gym.common.errors import value_error
 from flexman_gym.model.linearization import LinearMeasurements
 from flexman_gym.toolbox.controllers.observers.observer import Estimate
 from flexman_gym.toolbox.controllers.output_feedback import OutputFeedback

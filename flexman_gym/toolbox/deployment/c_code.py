@@ -18,7 +18,8 @@ from flexman_gym.agent.controller import EpisodeInfo, Readings
 from flexman_gym.agent.network import MAX_INPUT, Network
 from flexman_gym.agent.pd import PD
 from flexman_gym.common.arrays import Array, BoolArray, IntArray
-from flexman_gym.common.checks import MAX_SIZE, value_error
+from flexman_gym.common.checks import MAX_SIZE
+from flexman_gym.common.errors import value_error
 from flexman_gym.common.files import write_atomically
 from flexman_gym.envs.config.base_and_mode import make_base_and_mode
 from flexman_gym.envs.config.configuration import Configuration

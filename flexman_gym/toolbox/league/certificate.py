@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from flexman_gym.common.checks import value_error
 from flexman_gym.common.computer import computer_info
+from flexman_gym.common.errors import value_error
 from flexman_gym.common.files import check_output, write_atomically
 from flexman_gym.common.parallel import Workers
 from flexman_gym.envs.config.configuration import Configuration

@@ -13,7 +13,8 @@ from flexman_gym.agent.agent import History
 from flexman_gym.agent.controller import Controller, Readings
 from flexman_gym.agent.mode_wrapper import ModeWrapper
 from flexman_gym.common.arrays import Array, BoolArray
-from flexman_gym.common.checks import one_of, value_error
+from flexman_gym.common.checks import one_of
+from flexman_gym.common.errors import value_error
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.episodes import Episodes
 from flexman_gym.envs.limits import Limits

@@ -11,7 +11,8 @@ from flexman_gym.agent.base_controllers import ControllerEntry
 from flexman_gym.agent.controller import Controller, EpisodeInfo, Plant, Readings, checked_controller
 from flexman_gym.agent.pd import make_pd
 from flexman_gym.common.arrays import Array, BoolArray, IntArray, Vector, pad_rows
-from flexman_gym.common.checks import non_negative, sample_count, sequence, value_error, vector, whole_number
+from flexman_gym.common.checks import non_negative, sample_count, sequence, vector, whole_number
+from flexman_gym.common.errors import value_error
 from flexman_gym.model.model import Model, check_model
 from flexman_gym.model.statics import rest_state, rest_tips
 from flexman_gym.toolbox.controllers.input_shaping.shapers import (

@@ -12,7 +12,8 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 
 from flexman_gym.common.arrays import Array, Vector
-from flexman_gym.common.checks import flag, non_negative, one_of, physical, positive, sample_count, value_error
+from flexman_gym.common.checks import flag, non_negative, one_of, physical, positive, sample_count
+from flexman_gym.common.errors import value_error
 from flexman_gym.model.model import Model, check_model
 from flexman_gym.model.statics import check_springs
 from flexman_gym.model.vibration import Eigenpairs, EquilibriumMatrices
