@@ -58,7 +58,8 @@ def _entries(what: str) -> Iterable[tuple[str, str]]:
             for name, base in BASES.items()
         )
     elif what == "policies":
-        from flexman_gym.evaluation.policy_files import POLICIES, describe_policy
+        from flexman_gym.evaluation.policy_files import POLICIES
+        from flexman_gym.toolbox.league.certificate_file import describe_policy
 
         yield from ((name, describe_policy(name)) for name in POLICIES)
     elif what == "sensors":

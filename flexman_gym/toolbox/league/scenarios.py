@@ -234,3 +234,9 @@ def _find_environment(name: str) -> Configuration:
     else:
         whole = Configuration.find(name.removesuffix(f"/{NOMINAL}"))
     return whole.without(INTERFACE)
+
+
+def change_name(scenario: str) -> str:
+    """Return the change in the name of a scenario, such as "delay=3" or "@mujoco", without "+given"."""
+    where, at, plant = scenario.partition("@")
+    return at + plant or where.rpartition("/")[2].removesuffix(GIVEN)
