@@ -131,7 +131,7 @@ class _Session(NamedTuple):
     Attributes:
         spec: specification of the agent.
         environment: environment without the settings of the agent.
-        episodes: episode of one arm, after its reset; the law is not part of its agent.
+        episodes: episode of one arm, after its reset.
         layout: name -> (first index, size, unit) of each reading.
         ranges: (size,) largest magnitude of each reading.
         move: start and goal, (n,) rad each.
@@ -157,7 +157,6 @@ class _Session(NamedTuple):
         It shares its base controller with the episode of the session.
         """
         agent, (start, goal) = copy(self.episodes.agent), self.move
-        agent.law = self.spec.law
         ranges = {name: self.ranges[first : first + size] for name, (first, size, _) in self.layout.items()}
         limits, period = np.array(self.environment.torque_limit), self.environment.control_period
         result = RangeCheckedController(agent, ranges, limits, self.gravity_model)
@@ -175,8 +174,7 @@ class _Session(NamedTuple):
 
     def record(self, periods: int) -> tuple[Array, Array]:
         """Simulate control periods; return readings (T, size), and actions (T, n) as fractions of the limits."""
-        episodes, law = self.episodes, self.spec.law
-        readings, actions = [self.readings()], []
+        episodes, readings, actions = self.episodes, [self.readings()], []
 
         def callback() -> None:
             actions.append(episodes.view.action[0].copy())
@@ -184,10 +182,7 @@ class _Session(NamedTuple):
 
         episodes.callback = callback
         while len(actions) < periods and not episodes.over.all():
-            outputs = np.zeros((1, len(episodes.agent.mode.names)))
-            if law is not None:
-                outputs = np.asarray(law(episodes.agent.observations.copy()), dtype=np.float32).astype(float)
-            episodes.step(outputs)
+            episodes.step()
         return np.array(readings[: len(actions)]), np.array(actions)
 
 
@@ -225,7 +220,7 @@ def begin_agent(name: object, environment: str = "", seed: int = TEST_SEEDS[0], 
     if isinstance(base, _LinearOutputFeedback) and "start" not in move:
         goal = episodes.view.goal_angles[0].copy()
         venv.reset(seed=[seed], options={"start": goal - NEAR, "goal_angles": goal})
-    episodes.agent.check_law(law)
+    episodes.agent.set_law(law)
     layout, ranges = _find_layout(episodes, bool(law), bare)
     parameters, goal = episodes.view.episode_parameters, episodes.view.goal_angles[0].copy()
     path = goal_path(bare.task, parameters, episodes.max_periods, episodes.view)[0] if bare.task.moves else None
