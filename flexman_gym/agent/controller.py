@@ -101,6 +101,10 @@ class Controller(Protocol):
     `skip(active)` is called in place of `act` in a control period without good readings, see `RangeCheckedController`:
     references that are functions of time go on by a period, and all else remains unchanged.
 
+    Two members serve the export as C. `c_program`, an attribute of the class itself, is the place "module:function" of
+    a function of the controller and the names of its readings, which returns its tables and statements in C, see
+    `toolbox.deployment.c_programs`. `linear_form()` returns the linear controller that is exported in its place.
+
     Attributes:
         sensors: names of the sensors that the controller reads.
 

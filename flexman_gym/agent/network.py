@@ -48,6 +48,8 @@ class Network:
         ValueError: for missing arrays, inconsistent shapes and numbers that are not finite.
     """
 
+    c_program = "flexman_gym.toolbox.deployment.c_programs:network_program"
+
     def __init__(self, algo: str, activation: str | None, parameters: object, statistics: object) -> None:
         first, last, default, self._output = LAYER_NAMES[one_of("algo", algo, LAYER_NAMES)]
         self.activation = one_of("activation", activation or default, ACTIVATION_FUNCTIONS)

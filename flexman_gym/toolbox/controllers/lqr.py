@@ -256,6 +256,7 @@ class LQR:
     """
 
     sensors: tuple[str, ...] = ("state",)
+    c_program = "flexman_gym.toolbox.deployment.c_programs:lqr_program"
 
     def __init__(
         self, model: Model, torque_limit: float | Vector, period: float, weights: CostWeights | None = None
@@ -263,7 +264,8 @@ class LQR:
         for i in np.flatnonzero(check_model(model).constants.passive):
             raise value_error(f"LQR.model: arm.joints[{i}].passive", True, "an arm with a motor at each joint")
         n, d = model.n_joints, model.n_dof
-        self.model, self.period = model, positive("period", period, "s")
+        self.model = self.gravity_model = model
+        self.period = positive("period", period, "s")
         self.limits = np.array(torque_limits("torque_limit", torque_limit, n))
         self.weights = weights or CostWeights.default(model)
         self._gains, self._rest, self._holding_torques = np.zeros((0, n, 2 * d)), np.zeros((0, 2 * d)), np.zeros((0, n))
@@ -346,6 +348,7 @@ class TrackingLQR(LQR):
     """
 
     state_fields = ("_now",)
+    c_program = LQR.c_program
 
     def __init__(
         self,

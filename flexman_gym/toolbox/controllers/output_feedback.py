@@ -10,6 +10,8 @@ from flexman_gym.agent.controller import Controller, EpisodeInfo, Plant, Reading
 from flexman_gym.agent.pd import PD, make_pd
 from flexman_gym.common.arrays import Array, BoolArray, IntArray, pad_rows
 from flexman_gym.common.checks import flag
+from flexman_gym.common.errors import value_error
+from flexman_gym.model.statics import rest_state
 from flexman_gym.toolbox.controllers.lqr import parse_weights
 from flexman_gym.toolbox.controllers.observers.estimator import Estimator
 from flexman_gym.toolbox.controllers.observers.kalman_filter import KalmanFilter
@@ -17,6 +19,7 @@ from flexman_gym.toolbox.controllers.observers.observer import Estimate, Observe
 from flexman_gym.toolbox.controllers.observers.oracle import Oracle
 from flexman_gym.toolbox.controllers.tracking import Tracking
 
+POSTURE_STEP = 1e-4  # rad; central difference of the equilibrium state with respect to motor angles
 RETURN_TIME = 1.0  # s; time for which a model must explain the readings before a fallback controller ends
 
 
@@ -83,6 +86,11 @@ class OutputFeedback:
         self._fallback_active[returned], self._consistent_periods[returned] = False, 0
         self.law.restart(returned)
 
+    def linear_form(self) -> Controller:
+        """Return the linear output feedback about a goal; the controller itself for observers without a linear form."""
+        linear = type(self.observer) is KalmanFilter
+        return LinearOutputFeedback(self.observer, self.law) if linear else self  # type: ignore[arg-type]
+
     def prepare(self, applied: Array, active: BoolArray) -> None:
         """Let the observer compute what does not depend on the next readings; see `Controller`."""
         if hasattr(self.observer, "prepare"):
@@ -106,6 +114,49 @@ def _inconsistent(observer: Observer) -> BoolArray | bool:
     """Return the flags (b,) `inconsistent` of an observer; False for an observer without this attribute."""
     result: BoolArray | bool = getattr(observer, "inconsistent", False)
     return result
+
+
+class LinearOutputFeedback:
+    """Linear output feedback about the goal of one arm: Kalman filter and LQR with fixed gains.
+
+    Args:
+        observer: Kalman filter from which the linear filter is computed.
+        law: tracking law whose gain at the goal is used.
+    """
+
+    c_program = "flexman_gym.toolbox.deployment.c_programs:lqg_program"
+
+    def __init__(self, observer: KalmanFilter, law: Tracking) -> None:
+        self._observer, self._law = observer, law
+        self.sensors: tuple[str, ...] = tuple(observer.sensors)
+        self.gravity_model = law.slews.model
+        self._tables: dict[str, Array] = {}
+        self._deviation: Array | None = None  # (2 d,) estimated deviation from the equilibrium; None before a reading
+
+    def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
+        """Linearise about the goal; arguments as in `Controller.reset`."""
+        if len(episode.goal) != 1 or episode.reference is not None:
+            raise value_error("lqg", "several arms, or a moving goal", "one arm with a fixed goal")
+        goal, model = episode.goal[0], self.gravity_model
+        steps = POSTURE_STEP * np.eye(len(goal))
+        rows = (rest_state(model, goal + steps) - rest_state(model, goal - steps)) / (2.0 * POSTURE_STEP)
+        gain = {"K": self._law.holding_gain(goal), "from_angles": rows.T, "goal": goal}
+        self._tables, self._deviation = self._observer.linear(goal) | gain, None
+
+    def move_tables(self) -> dict[str, Array]:
+        """Return the matrices of the present goal by name, see `KalmanFilter.linear`."""
+        return self._tables
+
+    def act(self, readings: Readings, applied: Array, active: BoolArray) -> Array:
+        """Return the action (1, n); arguments as in `Controller.act`."""
+        t, limits = self._tables, self._law.limits
+        if self._deviation is None:
+            self._deviation = t["from_angles"] @ (readings["motor_angles"][0] - t["goal"])
+        else:
+            predicted = t["A"] @ self._deviation + t["B"] @ (applied[0] * limits - t["holding"])
+            measured = np.concatenate([readings[name][0] for name in self._observer.quantities])
+            self._deviation = predicted + t["L"] @ (measured - t["C"] @ (t["rest"] + predicted))
+        return np.clip((t["holding"] - t["K"] @ self._deviation) / limits, -1.0, 1.0)[None]
 
 
 def _lqg(plant: Plant, weights: object = None, **options: Any) -> OutputFeedback:

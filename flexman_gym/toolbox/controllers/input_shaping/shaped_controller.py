@@ -58,6 +58,7 @@ class InputShapedController:
     """
 
     state_fields = ("_now", "inner")
+    c_program = "flexman_gym.toolbox.deployment.c_programs:shaped_program"
 
     def __init__(
         self,
@@ -125,6 +126,11 @@ class InputShapedController:
     def gain_units(self) -> Mapping[str, str]:
         """Units of the gains of the inner controller, by name, see `Controller`."""
         return getattr(self.inner, "gain_units", {})
+
+    @property
+    def gravity_model(self) -> Model | None:
+        """Model whose weight the inner controller compensates; None without."""
+        return getattr(self.inner, "gravity_model", None)
 
     def derivatives(self, readings: Readings, changes: Readings) -> tuple[Array, Array]:
         """Return the actions (1, n) of an arm and their derivatives (p, n), see `Controller`."""
