@@ -123,14 +123,9 @@ class Agent:
         return np.tile(row, history_length(self.history)).astype(np.float32)
 
     def set_law(self, law: Law | None) -> None:
-        """Set the law of the agent.
+        """Set the law, see the class; raise a ValueError if its optional attributes differ from the sizes of the agent.
 
-        Args:
-            law: function from observations to commands, or None; see the class.
-
-        Raises:
-            ValueError: for a law whose optional attributes `size` and `joints`, the numbers of its inputs and outputs,
-                differ from the sizes of the agent.
+        These attributes, `size` and `joints`, are the numbers of its inputs and outputs.
         """
         length, mode_size = history_length(self.history), self._row - self._size
         size = getattr(law, "size", length * self._row) // length - mode_size
