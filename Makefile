@@ -40,7 +40,7 @@ scripts/web/node_modules: scripts/web/package-lock.json
 	@touch $@
 
 verify: .venv/installed
-	.venv/bin/python scripts/verification.py --folder docs/evidence
+	PYTHONPATH=scripts .venv/bin/python scripts/studies/runners/verification.py --folder docs/evidence
 
 # What a new user does, without the checkout: builds the wheel and installs it, checks, trains and evaluates.
 wheel:
@@ -54,7 +54,7 @@ clients:
 # makes these studies, STUDY=stale all that are not current; after an interruption the same command goes on.
 evidence: export OMP_NUM_THREADS = 1
 evidence: .venv/installed
-	.venv/bin/python scripts/evidence.py $(if $(STUDY),--make $(filter-out stale,$(STUDY)))
+	PYTHONPATH=scripts .venv/bin/python scripts/studies/runners/evidence.py $(if $(STUDY),--make $(filter-out stale,$(STUDY)))
 
 lint: .venv/installed
 	$(RUN) ruff check $(CODE) tests

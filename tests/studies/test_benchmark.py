@@ -23,7 +23,7 @@ def quick(tmp_path_factory):
     folder = tmp_path_factory.mktemp("benchmark")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(sys, "argv", ["benchmark.py", "--quick", "--folder", str(folder)])
-        command("benchmark").main()
+        command("studies.runners.benchmark").main()
     assert (folder / "benchmark.md").read_text(encoding="utf-8").count("| ") > 20
     return read_rows(folder / "benchmark.csv", BenchmarkRow)
 

@@ -5,7 +5,6 @@ import re
 
 import numpy as np
 import pytest
-from environments import ERROR_FILE
 
 import flexman_gym as fm
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
@@ -16,11 +15,12 @@ from studies.environments.measure import BASELINES, LONG_NAME, SEEDS, ModelError
 from studies.environments.text import SECTIONS, baseline_table, docstring_sections, length
 from studies.files import read_rows
 from studies.results import Results
+from studies.runners.environments import ERROR_FILE
 
 from oracles.files import ROOT
 
 PAGES = ROOT / "docs" / "environments"
-COMMAND = "python scripts/environments.py --folder docs/environments --redraw"
+COMMAND = "python scripts/studies/runners/environments.py --folder docs/environments --redraw"
 
 
 @pytest.fixture(scope="module")

@@ -26,7 +26,7 @@ def test_what_is_no_folder_is_one_line(tmp_path, name):
     "script",
     [
         "benchmark",
-        "compare_peers",
+        "peers",
         "learning",
         "ring_down",
         "robust",
@@ -40,6 +40,6 @@ def test_what_is_no_folder_is_one_line(tmp_path, name):
 def test_every_study_refuses_it_at_once(script, monkeypatch, capsys):
     monkeypatch.setattr("sys.argv", [script, "--folder", "/dev/null/here"])
     with pytest.raises(SystemExit) as stop:
-        command(script).main()
+        command(f"studies.runners.{script}").main()
     assert stop.value.code == 2
     assert "argument --folder: [Errno 20] Not a directory: '/dev/null/here'" in capsys.readouterr().err

@@ -154,6 +154,6 @@ def test_the_curve_of_a_run_is_that_of_its_training_rewards(tmp_path):
 
 def test_an_unknown_case_is_refused_in_one_line(monkeypatch, capsys):
     monkeypatch.setattr("sys.argv", ["learning", "recipe/nothing"])
-    assert command("learning").main() == 2
+    assert command("studies.runners.learning").main() == 2
     said = capsys.readouterr().err
     assert said.startswith("case: recipe/nothing is not allowed; give controllers, tasks, recipe/ppo_on_pd")

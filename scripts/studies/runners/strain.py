@@ -1,4 +1,4 @@
-"""Compare predicted strains with the gauges of a real arm: python scripts/strain.py --folder docs/evidence"""
+"""Compare predicted strains with the gauges of a real arm."""
 
 import argparse
 

@@ -1,4 +1,4 @@
-"""Write the pages of the named environments: python scripts/environments.py --folder docs/environments
+"""Write the pages of the named environments.
 
 The metrics of the baselines in environments that the league does not have are written to baselines.csv, and the errors
 of the default models to model_errors.csv; --redraw writes the pages from these rows and those of the league without a

@@ -1,4 +1,4 @@
-"""Plot work-precision diagrams of all methods and models: python scripts/work_precision.py --folder docs/evidence"""
+"""Plot work-precision diagrams of all methods and models."""
 
 import argparse
 import warnings

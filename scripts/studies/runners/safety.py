@@ -1,4 +1,4 @@
-"""Measure the safety filter with agents, conditions and limits: python scripts/safety.py --folder docs/evidence"""
+"""Measure the safety filter with agents, conditions and limits."""
 
 import argparse
 

@@ -1,4 +1,4 @@
-"""Measure stability limits and numerical damping of all methods: python scripts/stability.py --folder docs/evidence"""
+"""Measure stability limits and numerical damping of all methods."""
 
 import argparse
 import sys

@@ -1,4 +1,4 @@
-"""Test the fault tolerance of training runs and write its page: python scripts/faults.py --folder docs/evidence"""
+"""Test the fault tolerance of training runs and write its page."""
 
 import argparse
 import sys

@@ -1,4 +1,4 @@
-"""Compute designs of the paper's arm: python scripts/arm_design.py --folder docs/evidence"""
+"""Compute designs of the paper's arm."""
 
 import argparse
 

@@ -1,4 +1,4 @@
-"""Shape motions of simulated arms under servos: python scripts/shaping.py --folder docs/evidence"""
+"""Shape motions of simulated arms under servos."""
 
 import argparse
 

@@ -1,4 +1,4 @@
-"""Benchmark environments, training and other simulators: python scripts/benchmark.py --folder docs/evidence"""
+"""Benchmark environments, training and other simulators."""
 
 import argparse
 

@@ -1,4 +1,4 @@
-"""Compute gain limits of joint servos: python scripts/servos.py --folder docs/evidence"""
+"""Compute gain limits of joint servos."""
 
 import argparse
 import warnings

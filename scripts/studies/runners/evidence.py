@@ -1,4 +1,4 @@
-"""List what is older than the code that it describes, and make it: python scripts/evidence.py --make servos"""
+"""List what is older than the code that it describes, and make it."""
 
 import argparse
 import sys

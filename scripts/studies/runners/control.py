@@ -1,4 +1,4 @@
-"""Compare controllers of an arm with uncertain parameters: python scripts/control.py --folder docs/evidence"""
+"""Compare controllers of an arm with uncertain parameters."""
 
 import argparse
 

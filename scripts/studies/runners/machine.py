@@ -1,4 +1,4 @@
-"""Compare our model with a real two-link flexible arm: python scripts/machine.py --folder docs/evidence"""
+"""Compare our model with a real two-link flexible arm."""
 
 import argparse
 from pathlib import Path

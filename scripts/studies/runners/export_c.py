@@ -1,4 +1,4 @@
-"""Time a step of controllers that are exported as C, as root: python scripts/export_c.py --folder docs/evidence"""
+"""Time a step of controllers that are exported as C, as root."""
 
 import argparse
 from pathlib import Path

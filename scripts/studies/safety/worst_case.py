@@ -1,4 +1,4 @@
-"""Search the worst case of the safety filter: python scripts/safety_worst.py --folder docs/evidence"""
+"""Search the worst case of the safety filter."""
 
 import argparse
 from dataclasses import dataclass

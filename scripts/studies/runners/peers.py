@@ -1,4 +1,4 @@
-"""Compare simulations of the paper's arm with other codes: python scripts/compare_peers.py --folder docs/evidence"""
+"""Compare simulations of the paper's arm with other codes."""
 
 import argparse
 

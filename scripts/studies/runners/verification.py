@@ -1,4 +1,4 @@
-"""Compute the full verification table: python scripts/verification.py --folder docs/evidence"""
+"""Compute the full verification table."""
 
 import argparse
 import sys

@@ -1,4 +1,4 @@
-"""Compare arms read from URDF files with Pinocchio: python scripts/urdf.py --python VENV/bin/python --folder out
+"""Compare arms read from URDF files with Pinocchio.
 
 The interpreter needs the packages pin and example-robot-data; without --python they are taken from this one.
 """

@@ -1,4 +1,4 @@
-"""Measure errors of integration methods on released vibrations: python scripts/ring_down.py --folder docs/evidence"""
+"""Measure errors of integration methods on released vibrations."""
 
 import argparse
 

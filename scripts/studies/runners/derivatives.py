@@ -1,4 +1,4 @@
-"""Compare exact derivatives with differences, measure costs: python scripts/derivatives.py --folder docs/evidence"""
+"""Compare exact derivatives with differences, measure costs."""
 
 import argparse
 

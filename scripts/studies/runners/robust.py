@@ -1,4 +1,4 @@
-"""Compute robust controllers of a published arm: python scripts/robust.py --folder docs/evidence"""
+"""Compute robust controllers of a published arm."""
 
 import argparse
 

@@ -1,4 +1,4 @@
-"""Measure real-time loops, their faults and a round trip, as root: python scripts/drive.py --folder docs/evidence"""
+"""Measure real-time loops, their faults and a round trip, as root."""
 
 import argparse
 from collections.abc import Callable, Sequence

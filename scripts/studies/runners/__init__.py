@@ -1,0 +1,1 @@
+"""Programs that run the studies, one file each."""
