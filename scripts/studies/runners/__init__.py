@@ -1,1 +1,1 @@
-"""Programs that run the studies, one file each."""
+"""Programs of `python -m studies`, one file each; the `RUNNER` of a file adds its arguments to a parser and runs it."""

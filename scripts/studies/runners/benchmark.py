@@ -1,33 +1,53 @@
-"""Benchmark environments, training and other simulators."""
+"""Speed of environments, training and other simulators, and steps of many arms without growing memory."""
 
-import argparse
+from argparse import ArgumentParser, Namespace
+from collections.abc import Iterator, Sequence
 
 from flexman_gym.common.computer import computer_text
-from studies.benchmark import measure
-from studies.benchmark.page import ROWS_FILE, publish
-from studies.files import folder, write_rows
+from studies.benchmark import measure as benchmark
+from studies.benchmark.endurance import ALLOWED, MEMORY, SETTLED, WARM_MEMORY, EnduranceRow, endurance_rows, endure
+from studies.benchmark.page import page
+from studies.study import Study, Table, quick
 
 EVALUATION_ROUNDS, PART_ROUNDS, STARTS = 40, 15, 5
+STEPS, ARMS, FEW_STEPS, FEW_ARMS = 10_000_000, 256, 3000, 8  # of the endurance test, and with --quick
 PEERS = ("gymnasium", "stable-baselines3", "torch", "mujoco", "pin")
 
 
-def main() -> None:
-    """Run all benchmarks in interleaved rounds and write the rows and the page."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="run a few steps of each benchmark")
-    parser.add_argument("--redraw", action="store_true", help="write the page from the rows of an earlier run")
-    parser.add_argument("--folder", type=folder, default="out", help="output folder of rows and page")
-    options = parser.parse_args()
-    options.folder.mkdir(parents=True, exist_ok=True)
-    if not options.redraw:
-        grid = measure.QUICK if options.quick else measure.Grid()
-        rows = measure.environment_rows(grid)
-        rows += measure.part_rows(1 if options.quick else PART_ROUNDS)
-        rows += measure.start_rows(1 if options.quick else STARTS, cold=not options.quick)
-        rows += measure.evaluation_rows(2 if options.quick else EVALUATION_ROUNDS)
-        write_rows(rows, options.folder / ROWS_FILE, comment=computer_text(PEERS))
-    print(publish(options.folder))
+def arguments(parser: ArgumentParser) -> None:
+    """Add the size of the endurance test."""
+    quick(parser)
+    parser.add_argument("--steps", type=int, default=STEPS, help="steps of all arms of the endurance test")
+    parser.add_argument("--arms", type=int, default=ARMS, help="arms of the endurance test")
 
 
-if __name__ == "__main__":
-    main()
+def speeds(small: bool) -> Iterator[benchmark.BenchmarkRow]:
+    """Yield the rows of all benchmarks, each in interleaved rounds."""
+    yield from benchmark.environment_rows(benchmark.QUICK if small else benchmark.Grid())
+    yield from benchmark.part_rows(1 if small else PART_ROUNDS)
+    yield from benchmark.start_rows(1 if small else STARTS, cold=not small)
+    yield from benchmark.evaluation_rows(2 if small else EVALUATION_ROUNDS)
+
+
+def endurance(options: Namespace) -> Iterator[EnduranceRow]:
+    """Yield the rows of the endurance test."""
+    steps, arms = (FEW_STEPS, FEW_ARMS) if options.quick else (options.steps, options.arms)
+    yield from endurance_rows(endure(steps, arms, min(SETTLED, steps)))
+
+
+def report(_: Sequence[benchmark.BenchmarkRow], endured: Sequence[EnduranceRow]) -> int:
+    """Return 1 if the memory has grown."""
+    known = {row.quantity: row.value for row in endured}
+    growth = known[MEMORY] / known[WARM_MEMORY] - 1.0
+    print(f"memory grew by {growth:.1%}")
+    return int(growth > ALLOWED)
+
+
+RUNNER = Study(
+    tables=(Table("benchmark", benchmark.BenchmarkRow), Table("endurance", EnduranceRow, 9)),
+    measure=lambda options: (speeds(options.quick), endurance(options)),
+    pages={"benchmark.md": page},
+    report=report,
+    own_arguments=arguments,
+    comment=lambda _: computer_text(PEERS),
+)

@@ -1,28 +1,21 @@
-"""Compare exact derivatives with differences, measure costs."""
+"""Exact derivatives compared with differences, and their costs."""
 
-import argparse
+from collections.abc import Iterator
 
-from flexman_gym.common.computer import computer_text
-from studies.derivatives.costs import ROUNDS, CostRow, cost_rows
+from studies.derivatives.costs import CostRow, cost_rows
 from studies.derivatives.measure import DerivativeRow, rows
 from studies.derivatives.page import page
-from studies.files import folder, read_comments, read_rows, write_rows
+from studies.study import Study, Table
 
 
-def main() -> None:
-    """Run the study and write rows and page."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--redraw", action="store_true", help="write the page from the rows of an earlier run")
-    parser.add_argument("--folder", type=folder, default="out", help="output folder of rows and page")
-    options = parser.parse_args()
-    file, costs = options.folder / "derivatives.csv", options.folder / "derivatives_costs.csv"
-    if not options.redraw:
-        write_rows(list(rows()), file, 6, computer_text())
-        cost_rows(1)  # compiles
-        write_rows(cost_rows(ROUNDS), costs, 4, computer_text())
-    text = page(read_rows(file, DerivativeRow), read_rows(costs, CostRow), read_comments(file, costs))
-    (options.folder / "derivatives.md").write_text(text, encoding="utf-8")
+def costs() -> Iterator[CostRow]:
+    """Yield the rows of the costs after a first round, which compiles."""
+    cost_rows(1)
+    yield from cost_rows()
 
 
-if __name__ == "__main__":
-    main()
+RUNNER = Study(
+    tables=(Table("derivatives", DerivativeRow), Table("derivatives_costs", CostRow, 4)),
+    measure=lambda _: (rows(), costs()),
+    pages={"derivatives.md": page},
+)

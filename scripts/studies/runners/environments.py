@@ -1,66 +1,53 @@
-"""Write the pages of the named environments.
+"""Pages of the named environments, with pictures and the metrics of baselines that the league does not have."""
 
-The metrics of the baselines in environments that the league does not have are written to baselines.csv, and the errors
-of the default models to model_errors.csv; --redraw writes the pages from these rows and those of the league without a
-simulation.
-"""
-
-import argparse
-from pathlib import Path
+from argparse import Namespace
+from collections.abc import Mapping, Sequence
+from functools import partial
 
 from flexman_gym.envs.config.named_environments import DEFAULT_ID, NAMED_ENVIRONMENTS
 from flexman_gym.toolbox.league.scenarios import USUAL_SCENARIOS
-from studies.environments.family import FAMILIES, family_page
+from studies.environments.family import FAMILIES, Family, family_page
 from studies.environments.gallery import gallery_page, tasks_page
 from studies.environments.measure import (
     BASELINES,
     LONG,
     LONG_NAME,
     SEEDS,
+    Baseline,
     ModelError,
     baseline_rows,
     draw,
     model_error,
     run,
 )
-from studies.files import folder, read_rows, write_rows
 from studies.results import Results
-
-BASELINE_FILE, ERROR_FILE = "baselines.csv", "model_errors.csv"
-
-
-def main() -> None:
-    """Run the baselines and write rows, pictures and pages."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--folder", type=folder, default="out/environments", help="output folder")
-    parser.add_argument("--redraw", action="store_true", help="write only the pages, from the rows in the folder")
-    options = parser.parse_args()
-    if not options.redraw:
-        measure(options.folder)
-    baselines = Results(baselines=options.folder / BASELINE_FILE).baselines()
-    errors = read_rows(options.folder / ERROR_FILE, ModelError)
-    (options.folder / "index.md").write_text(gallery_page(baselines), encoding="utf-8")
-    (options.folder / "tasks.md").write_text(tasks_page(), encoding="utf-8")
-    for family in FAMILIES:
-        text = family_page(family, baselines, errors)
-        (options.folder / f"{family.file}.md").write_text(text, encoding="utf-8")
+from studies.study import Study, Table
 
 
-def measure(target: Path) -> None:
-    """Write the rows and the pictures of all environments to a folder."""
+def measure(options: Namespace) -> tuple[list[Baseline], list[ModelError]]:
+    """Draw the pictures of all environments, and return the metrics of baselines and the errors of default models."""
     baselines, errors = [], []
     for name in NAMED_ENVIRONMENTS:
         known = name in USUAL_SCENARIOS  # of the league; one episode is enough for the pictures
         runs = {each: run(name, agent, seeds=SEEDS[:1] if known else SEEDS) for each, agent in BASELINES.items()}
-        draw(runs, target / name)
-        new = [] if known else baseline_rows(name, runs)
-        new += baseline_rows(name, {LONG_NAME: run(name, "pd", LONG)}) if name == DEFAULT_ID else []
-        baselines += new
+        draw(runs, options.folder / name)
+        baselines += [] if known else baseline_rows(name, runs)
+        baselines += baseline_rows(name, {LONG_NAME: run(name, "pd", LONG)}) if name == DEFAULT_ID else []
         errors.append(model_error(name))
-        print(name, *new, errors[-1], sep="\n", flush=True)
-    write_rows(baselines, target / BASELINE_FILE)
-    write_rows(errors, target / ERROR_FILE)
+    return baselines, errors
 
 
-if __name__ == "__main__":
-    main()
+def _gallery(rows: Sequence[Baseline], _: Sequence[ModelError], __: Mapping[str, str]) -> str:
+    return gallery_page(Results(baselines=rows).baselines())
+
+
+def _family(family: Family, rows: Sequence[Baseline], errors: Sequence[ModelError], _: Mapping[str, str]) -> str:
+    return family_page(family, Results(baselines=rows).baselines(), errors)
+
+
+RUNNER = Study(
+    tables=(Table("baselines", Baseline), Table("model_errors", ModelError)),
+    measure=measure,
+    pages={"index.md": _gallery, "tasks.md": lambda *_: tasks_page()}
+    | {f"{family.file}.md": partial(_family, family) for family in FAMILIES},
+)

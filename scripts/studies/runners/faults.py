@@ -1,47 +1,39 @@
-"""Test the fault tolerance of training runs and write its page."""
+"""Fault tolerance of training runs: kills, interrupts, a full disk, and two runs in one folder."""
 
-import argparse
-import sys
+from argparse import ArgumentParser, Namespace
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from flexman_gym.common.computer import computer_text
 from studies.faults import Fault, disk_full, faults, page
-from studies.files import folder, read_comments, read_rows, write_rows
+from studies.study import Study, Table
 
 
-def main() -> int:
-    """Try all faults and write the page; return 1 if a run loses its results."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--folder", type=folder, default="docs/evidence", help="output folder of the page")
-    parser.add_argument("--redraw", action="store_true", help="write the page from the rows of an earlier run")
-    parser.add_argument(
-        "--kills", type=int, nargs=2, default=(30, 15), help="kills per algorithm during saving and at random times"
-    )
-    parser.add_argument(
-        "--small", type=Path, help="empty file system of a few MB for the test of a full disk; default: skip this test"
-    )
-    options = parser.parse_args()
-    file = options.folder / "faults.csv"
-    if not options.redraw:
-        write_rows(measured(tuple(options.kills), options.small), file, comment=computer_text(("torch",)))
-    result = read_rows(file, Fault)
-    (options.folder / "faults.md").write_text(page(result, read_comments(file)), encoding="utf-8")
-    return int(any(fault.survived < fault.tried for fault in result))
+def arguments(parser: ArgumentParser) -> None:
+    """Add the numbers of kills and the place of the test of a full disk."""
+    parser.add_argument("--kills", type=int, nargs=2, default=(30, 15), help="kills per algorithm: saving, any time")
+    parser.add_argument("--small", type=Path, help="empty file system of a few MB; default: no test of a full disk")
 
 
-def measured(kills: tuple[int, int], small: Path | None) -> list[Fault]:
-    """Return the results of all faults; `small` is the file system of the test of a full disk, if any."""
-    result = []
+def measure(options: Namespace) -> Iterator[Fault]:
+    """Yield the results of all faults."""
     with TemporaryDirectory() as place:
-        for fault in faults(Path(place), kills):
-            print(fault, flush=True)
-            result.append(fault)
-        if small:
-            result.append(disk_full(Path(place), small))
-            print(result[-1], flush=True)
-    return result
+        yield from faults(Path(place), tuple(options.kills))
+        if options.small:
+            yield disk_full(Path(place), options.small)
 
 
-if __name__ == "__main__":
-    sys.exit(main())
+def report(rows: Sequence[Fault]) -> int:
+    """Return 1 if a run lost its results."""
+    return int(any(fault.survived < fault.tried for fault in rows))
+
+
+RUNNER = Study(
+    tables=(Table("faults", Fault),),
+    measure=lambda options: [measure(options)],
+    pages={"faults.md": page},
+    report=report,
+    own_arguments=arguments,
+    comment=lambda _: computer_text(("torch",)),
+)

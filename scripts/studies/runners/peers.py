@@ -1,35 +1,41 @@
-"""Compare simulations of the paper's arm with other codes."""
+"""Simulations of the paper's arm, compared with other codes."""
 
-import argparse
+from argparse import Namespace
+from collections.abc import Iterable, Iterator
+from typing import Any
 
 import flexman_gym as fm
 from flexman_gym.common.computer import computer_text
-from studies.files import folder, read_comments, read_rows, write_rows
-from studies.peers import measure
-from studies.peers.measure import PEERS, Decay, decays, in_turns, large_rotation_solution, of_peers, ours, study, theirs
-from studies.peers.page import publish
+from studies.peers.measure import (
+    PEERS,
+    Decay,
+    batch_rows,
+    decays,
+    in_turns,
+    large_rotation_solution,
+    of_peers,
+    ours,
+    study,
+    theirs,
+)
+from studies.peers.page import draw, page
 from studies.precision.measure import PrecisionRow
+from studies.study import Study, Table
 from studies.verification.motions import REFERENCE
 
 
-def main() -> None:
-    """Run all simulators in interleaved rounds and write rows, chart and page."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--redraw", action="store_true", help="draw chart and page from the rows of an earlier run")
-    parser.add_argument("--folder", type=folder, default="out", help="output folder of rows, chart and page")
-    options = parser.parse_args()
-    options.folder.mkdir(parents=True, exist_ok=True)
-    file, damping = options.folder / "peers.csv", options.folder / "peers_damping.csv"
-    known = large_rotation_solution(REFERENCE)
-    if not options.redraw:
-        result = study(known)
-        alone = in_turns(ours(result) + theirs(result))
-        comment = computer_text(PEERS.values())
-        write_rows(alone + measure.batch_rows(result, alone), file, comment=comment)
-        write_rows(list(decays(fm.catalog.paper_rrr(), of_peers(alone))), damping, comment=comment)
-    rows, losses = read_rows(file, PrecisionRow), read_rows(damping, Decay)
-    print(publish(rows, losses, known.floor, options.folder, read_comments(file, damping)))
+def measure(options: Namespace) -> Iterator[Iterable[Any]]:
+    """Yield the rows of all simulators, in interleaved rounds, and of their numerical damping."""
+    result = study(large_rotation_solution(REFERENCE))
+    alone = in_turns(ours(result) + theirs(result))
+    yield alone + batch_rows(result, alone)
+    yield decays(fm.catalog.paper_rrr(), of_peers(alone))
 
 
-if __name__ == "__main__":
-    main()
+RUNNER = Study(
+    tables=(Table("peers", PrecisionRow), Table("peers_damping", Decay)),
+    measure=measure,
+    pages={"peers.md": page},
+    charts=lambda folder, rows, _: draw(rows, large_rotation_solution(REFERENCE).floor, folder),
+    comment=lambda _: computer_text(PEERS.values()),
+)

@@ -1,23 +1,20 @@
-"""Shape motions of simulated arms under servos."""
+"""Shaped motions of simulated arms under servos."""
 
-import argparse
+from argparse import ArgumentParser
+from collections.abc import Sequence
 
-from flexman_gym.common.computer import computer_text
-from studies.files import folder, write_rows
 from studies.machine.measure import DATA
-from studies.shaping.measure import real_frequencies, simulate
+from studies.shaping.measure import ShapingRow, real_frequencies, simulate
+from studies.study import Study, Table
 
 
-def main() -> None:
-    """Run the study, write its rows and print a summary."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--folder", type=folder, default="out", help="output folder of the rows")
-    parser.add_argument(
-        "--arms", type=int, default=30, metavar="N", help="number of random arms (default: %(default)s)"
-    )
-    options = parser.parse_args()
-    rows = [simulate(seed) for seed in range(options.arms)]
-    write_rows(rows, options.folder / "shaping.csv", 6, computer_text())
+def arguments(parser: ArgumentParser) -> None:
+    """Add the number of arms."""
+    parser.add_argument("--arms", type=int, default=30, help="number of random arms (default: %(default)s)")
+
+
+def report(rows: Sequence[ShapingRow]) -> None:
+    """Print the shares of arms, and the frequencies of the real arm."""
     print(
         f"{sum(row.left <= 0.05 for row in rows)} of {len(rows)} arms keep at most 5 % of the vibration; the interval "
         f"contains the residual of {sum(row.low <= row.residual <= row.high for row in rows)}; in "
@@ -27,5 +24,9 @@ def main() -> None:
         print(f"real arm, {name}: {frequency:.4g} Hz")
 
 
-if __name__ == "__main__":
-    main()
+RUNNER = Study(
+    tables=(Table("shaping", ShapingRow),),
+    measure=lambda options: [map(simulate, range(options.arms))],
+    report=report,
+    own_arguments=arguments,
+)

@@ -1,25 +1,9 @@
-"""Compare predicted strains with the gauges of a real arm."""
+"""Predicted strains, compared with the gauges of a real arm."""
 
-import argparse
+from itertools import chain
 
-from flexman_gym.common.computer import computer_text
-from studies.files import folder, read_comments, read_rows, write_rows
 from studies.machine.strain import StrainRow, one_stage, two_stages
 from studies.machine.strain_page import page
+from studies.study import Study, Table
 
-
-def main() -> None:
-    """Run the study and write rows and page."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--redraw", action="store_true", help="write the page from the rows of an earlier run")
-    parser.add_argument("--folder", type=folder, default="out", help="output folder of rows and page")
-    options = parser.parse_args()
-    file = options.folder / "strain.csv"
-    if not options.redraw:
-        write_rows([*one_stage(), *two_stages()], file, 4, computer_text())
-    text = page(read_rows(file, StrainRow), read_comments(file))
-    (options.folder / "strain.md").write_text(text, encoding="utf-8")
-
-
-if __name__ == "__main__":
-    main()
+RUNNER = Study((Table("strain", StrainRow, 4),), lambda _: [chain(one_stage(), two_stages())], {"strain.md": page})

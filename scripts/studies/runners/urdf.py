@@ -1,27 +1,30 @@
-"""Compare arms read from URDF files with Pinocchio.
+"""Arms read from URDF files, compared with Pinocchio; needs the packages pin and example-robot-data."""
 
-The interpreter needs the packages pin and example-robot-data; without --python they are taken from this one.
-"""
-
-import argparse
 import sys
+from argparse import ArgumentParser, Namespace
+from functools import cache
 
 from flexman_gym.common.computer import computer_text
-from studies.files import folder, write_rows
-from studies.urdf.measure import measured
+from studies.study import Study, Table
+from studies.urdf.measure import UrdfRow, measured
 
 
-def main() -> None:
-    """Write the rows and print them."""
-    parser = argparse.ArgumentParser(description=__doc__)
+def arguments(parser: ArgumentParser) -> None:
+    """Add the interpreter."""
     parser.add_argument("--python", default=sys.executable, help="interpreter with pin and example-robot-data")
-    parser.add_argument("--folder", type=folder, default="out", help="output folder of the rows")
-    options = parser.parse_args()
-    rows, versions = measured(options.python)
-    packages = ", ".join(f"{name} {version}" for name, version in versions.items())
-    write_rows(rows, options.folder / "urdf.csv", digits=2, comment=f"{computer_text()}, {packages}")
-    print((options.folder / "urdf.csv").read_text(encoding="utf-8"))
 
 
-if __name__ == "__main__":
-    main()
+known = cache(measured)
+
+
+def comment(options: Namespace) -> str:
+    """Return the computer and the versions of both packages."""
+    return ", ".join([computer_text(), *(f"{name} {version}" for name, version in known(options.python)[1].items())])
+
+
+RUNNER = Study(
+    tables=(Table("urdf", UrdfRow, 2),),
+    measure=lambda options: [known(options.python)[0]],
+    own_arguments=arguments,
+    comment=comment,
+)

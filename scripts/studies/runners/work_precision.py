@@ -1,32 +1,31 @@
-"""Plot work-precision diagrams of all methods and models."""
+"""Work-precision diagrams of all methods and models."""
 
-import argparse
-import warnings
-from pathlib import Path
+from argparse import ArgumentParser, Namespace
+from collections.abc import Sequence
 
 from flexman_gym.common.parallel import Workers
-from studies.files import folder
-from studies.precision.page import compute, publish
+from studies.precision.charts import draw
+from studies.precision.measure import Floor, PrecisionRow
+from studies.precision.page import compute, page
+from studies.study import Study, Table, quick, workers
 from studies.verification.motions import REFERENCE
 
 
-def main() -> None:
-    """Run the study and write rows, plots and page."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="run a small grid of one short scene")
-    parser.add_argument("--redraw", action="store_true", help="draw plots and page from the rows of an earlier run")
-    parser.add_argument("--folder", type=folder, default="out", help="output folder of rows, plots and page")
-    parser.add_argument("--kept", type=Path, help="folder of finished cells, from which an interrupted study resumes")
-    Workers.arguments(parser)
-    options = parser.parse_args()
-    warnings.filterwarnings(
-        "ignore", "Link.second_moment_y", UserWarning
-    )  # raised by the printed area of link 1 of the paper
-    options.folder.mkdir(parents=True, exist_ok=True)
-    if not options.redraw:
-        compute(REFERENCE, options.folder, options.quick, Workers.of(options), options.kept)
-    publish(options.folder)
+def arguments(parser: ArgumentParser) -> None:
+    """Add the small grid and the workers."""
+    quick(parser)
+    workers(parser)
 
 
-if __name__ == "__main__":
-    main()
+def measure(options: Namespace) -> tuple[Sequence[PrecisionRow], Sequence[Floor]]:
+    """Return the rows of all runs, and the errors of the reference solutions."""
+    return compute(REFERENCE, options.quick, Workers.of(options), options.kept)
+
+
+RUNNER = Study(
+    tables=(Table("work_precision", PrecisionRow), Table("work_precision_truths", Floor)),
+    measure=measure,
+    pages={"work_precision.md": page},
+    charts=lambda folder, rows, floors: draw(rows, floors, folder),
+    own_arguments=arguments,
+)
