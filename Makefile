@@ -16,9 +16,9 @@ test: lint kernels
 kernels: .venv/installed
 	.venv/bin/python tests/compile_kernels.py
 
-# What a minute can tell: all but the tests that take long, with kernels that are compiled.
+# The core alone: its tests but for those that take long, with all features blocked and with kernels that are compiled.
 quick: .venv/installed
-	$(RUN) pytest -q -n 2 -m "not slow"
+	$(RUN) pytest -q -n 2 --core -m "not slow"
 
 # Into out/site, with the notebooks of the tutorials and their outputs. It opens from a disk without a network.
 site: pages

@@ -16,7 +16,6 @@ from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.vector_env import FlexManVectorEnv
 from flexman_gym.model.state_space import first_order_lag
-from flexman_gym.toolbox.controllers.margins import sampled_loops
 
 from oracles.assertions import same
 
@@ -94,10 +93,13 @@ def test_a_velocity_servo_turns_as_fast_as_it_is_told_and_does_not_wind_up():
     )
 
 
+@pytest.mark.feature
 @pytest.mark.parametrize("late", [0, 1, 2])
 @pytest.mark.parametrize("bandwidth", [None, 8.0])
 def test_the_environment_moves_as_the_loop_says_whose_eigenvalues_are_looked_at(late, bandwidth):
     """A rigid link on a rigid joint, under a servo whose torques come late through a drive that lags."""
+    from flexman_gym.toolbox.controllers.margins import sampled_loops
+
     arm, gains = fm.catalog.one_link(rotor_inertia=0.1), {"stiffness": [2.0], "damping": [0.9]}
     env = FlexManEnv(
         name="FlexOne-v0", arm=arm, modes=0, torque_limit=50.0, actions={"kind": "position", **gains},
@@ -125,9 +127,12 @@ def test_a_lag_is_that_of_a_first_order_filter():
     assert mean == pytest.approx(quad(lambda t: np.exp(-2.0 * np.pi * 5.0 * t), 0.0, 0.02)[0] / 0.02)
 
 
+@pytest.mark.feature
 @pytest.mark.parametrize("name", NAMED_ENVIRONMENTS)
 def test_servos_of_all_environments_are_stable_under_delay_and_lag_and_cease_to_be(name):
     """With tuned gains: at the control period, and at a fifth of it with up to four of these periods of delay."""
+    from flexman_gym.toolbox.controllers.margins import sampled_loops
+
     setup = Configuration.from_keywords({"name": name})
     model, gains = resolve_fidelity(setup).model, NAMED_ENVIRONMENTS[name].pd
     stiffness, damping = np.array(gains["stiffness"]), np.array(gains["damping"])

@@ -3,7 +3,6 @@
 import json
 
 import gymnasium as gym
-import keywords
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -19,7 +18,6 @@ from flexman_gym.scene.serialization import find_arm, to_plain
 
 from oracles.assertions import refusal
 from oracles.chains import QUICK
-from oracles.files import ROOT
 
 OWN = {
     "id": "FlexPlanar-v0", "arm": {"catalog": "vertical_2r", "payload": {"mass": 0.25}}, "horizon": 0.3,
@@ -214,10 +212,6 @@ def test_a_setting_has_help_and_a_plain_form(name):
     plain = setting.plain(value) if setting.plain else value
     again = Configuration("FlexPlanar-v0", {name: json.loads(json.dumps(plain))})
     assert getattr(again, name) == value or name == "sensors"
-
-
-def test_the_page_of_keywords_is_that_of_the_table():
-    assert (ROOT / "docs" / keywords.KEYWORDS_PAGE).read_text(encoding="utf-8") == keywords.keywords_page()
 
 
 # The same episode everywhere

@@ -23,7 +23,6 @@ from flexman_gym.evaluation.agents import (
 from flexman_gym.evaluation.metrics import evaluate
 from flexman_gym.evaluation.policy_files import read_policy, write_policy
 from flexman_gym.evaluation.rollouts import rollout
-from flexman_gym.toolbox.controllers.lqr import LQR, TrackingLQR
 
 from oracles.assertions import refusal
 from oracles.shipped import made_up
@@ -189,7 +188,10 @@ def test_runs_of_one_name_on_different_environments_are_refused():
     assert refusal(common_environment, both, None).startswith("agent: 'seed-0' is not allowed")
 
 
+@pytest.mark.feature
 def test_a_controller_may_act_on_fewer_arms_afterwards():
+    from flexman_gym.toolbox.controllers.lqr import LQR, TrackingLQR
+
     model = gym.make(ONE.id).unwrapped.simulator.model
     for own in (LQR(model, 0.5, 0.02), TrackingLQR(model, 0.5, 0.02)):
         many = rollout(own, ONE, range(3))
