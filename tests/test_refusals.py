@@ -20,8 +20,9 @@ from flexman_gym.model.assembled_modes import assembled_modes
 from flexman_gym.model.model import scene_model
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.integrator import MAX_STEPS
+from flexman_gym.toolbox.controllers.excited_modes import excited_modes
 from flexman_gym.toolbox.controllers.input_shaping.shaped_controller import InputShapedController
-from flexman_gym.toolbox.controllers.input_shaping.shapers import design_shaper, excited_modes
+from flexman_gym.toolbox.controllers.input_shaping.shapers import design_shaper
 from flexman_gym.toolbox.controllers.lqr import LQR, TrackingLQR
 
 from oracles import odd_values

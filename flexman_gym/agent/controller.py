@@ -36,6 +36,8 @@ class Plant(NamedTuple):
             the largest magnitude of its bias, in the unit of the quantity, and its largest relative gain error:
             name -> (4, size).
         bandwidth: bandwidth of a first-order lag between commanded and applied torques, Hz; None for no lag.
+        rate_limit: largest magnitude of a motor rate in the environment, rad/s.
+        named_period: control period of the named environment whose arm this is, s; None for another arm.
     """
 
     model: Model
@@ -48,6 +50,8 @@ class Plant(NamedTuple):
     tip_force: float = 0.0
     measured: Callable[[], Mapping[str, Array]] = dict
     bandwidth: float | None = None
+    rate_limit: float = np.inf
+    named_period: float | None = None
 
 
 Readings = Mapping[str, NDArray[Any]]

@@ -237,6 +237,21 @@ def test_a_policy_of_the_package_reaches_its_row_again(name):
         assert {each: row[each] for each in figures} == pytest.approx(figures, rel=1e-3, abs=1e-8)
 
 
+def regulators(data):
+    """The bases with an LQR in nested mappings and lists."""
+    if isinstance(data, dict) and str(data.get("kind", "")).endswith("-lqr"):
+        yield data
+    for each in data.values() if isinstance(data, dict) else data if isinstance(data, list) else ():
+        yield from regulators(each)
+
+
+def test_policies_of_the_package_name_the_design_of_their_regulators():
+    """Weights, planner and times of the design "arm" are other ones than those that they were trained on."""
+    found = {name: list(regulators(read_policy(policy_folder(name)).metadata)) for name in POLICIES}
+    assert {name for name, each in found.items() if each} == {"lab-flexrrr", "shaping-flexrrr"}
+    assert all(base["design"] == "named" for each in found.values() for base in each)
+
+
 @pytest.mark.parametrize("name", POLICIES)
 def test_the_page_of_policies_has_the_row(name):
     about, text = read_policy(policy_folder(name)).metadata, (ROOT / "docs" / "results.md").read_text(encoding="utf-8")

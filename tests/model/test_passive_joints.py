@@ -196,7 +196,7 @@ def test_passive_joint_without_spring_moves_and_vibrates_where_no_equilibrium_is
 @pytest.mark.feature
 @pytest.mark.parametrize("gravity", [(0.0, 0.0, 0.0), (0.0, -9.81, 0.0)])
 def test_feature_that_needs_an_equilibrium_or_a_motor_refuses_a_passive_joint(gravity):
-    from flexman_gym.toolbox.controllers.input_shaping.shapers import excited_modes
+    from flexman_gym.toolbox.controllers.excited_modes import excited_modes
     from flexman_gym.toolbox.controllers.lqr import LQR
 
     model = free_pendulum(gravity)

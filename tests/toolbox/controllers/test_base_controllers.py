@@ -11,8 +11,9 @@ from flexman_gym.envs.config.plant import make_plant
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.evaluation.metrics import evaluate
 from flexman_gym.evaluation.rollouts import rollout
+from flexman_gym.toolbox.controllers.cost_weights import CostWeights, NamedWeights
 from flexman_gym.toolbox.controllers.input_shaping.shaped_controller import InputShapedController
-from flexman_gym.toolbox.controllers.lqr import LQR, CostWeights, TrackingLQR
+from flexman_gym.toolbox.controllers.lqr import LQR, TrackingLQR
 from flexman_gym.toolbox.controllers.torque_feedback_pd import TorqueFeedbackPD
 from flexman_gym.toolbox.controllers.tracking import OutputFeedback
 
@@ -48,6 +49,27 @@ def test_a_mapping_gives_arguments_in_place_of_what_is_usual():
     weights = make_base({"kind": "lqr", "weights": WEIGHTS}, plant()).weights
     assert weights == CostWeights(**WEIGHTS) != make_base("lqr", plant()).weights
     assert make_base({"kind": "lqr-tracking", "timing_law": "trapezoid"}, plant()).timing_law == "trapezoid"
+
+
+def test_the_design_follows_from_the_arm_and_is_an_argument():
+    """The fixed design is that of the arms for which it was tuned; policies trained on it name it for any arm."""
+    named, other = plant(), plant()._replace(named_period=None)
+    for given, design, expected in (
+        (named, None, True), (other, None, False), (named, "arm", False), (other, "named", True),
+    ):  # fmt: skip
+        own = make_base({"kind": "lqr-tracking"} | ({"design": design} if design else {}), given)
+        assert own.scales.named == expected == isinstance(own.weights, NamedWeights)
+    line = refusal(make_base, {"kind": "adaptive-lqr", "design": "mine"}, named)
+    assert line == "base.design: 'mine' is not allowed; give one of arm, named"
+
+
+def test_times_of_a_named_arm_last_as_long_at_any_control_period():
+    """A time unit of adaptation is a control period of the named environment; without one it is the present period."""
+    for kind in ("adaptive-lqr", "privileged-lqr"):
+        for factor in (1, 4):
+            quick = plant()._replace(period=plant().period / factor)
+            assert make_base(kind, quick).law.unit == factor
+            assert make_base({"kind": kind, "design": "named"}, quick._replace(named_period=None)).law.unit == 1
 
 
 def test_a_shaped_pd_takes_the_arguments_of_both():

@@ -14,12 +14,12 @@ from flexman_gym.common.arrays import Array, BoolArray, IntArray, Vector, pad_ro
 from flexman_gym.common.checks import non_negative, sample_count, sequence, value_error, vector, whole_number
 from flexman_gym.model.model import Model, check_model
 from flexman_gym.model.statics import rest_state, rest_tips
+from flexman_gym.toolbox.controllers.excited_modes import excited_modes
 from flexman_gym.toolbox.controllers.input_shaping.shapers import (
     DEFAULT_TOLERANCE,
     Shaper,
     convolve_samples,
     design_shaper,
-    excited_modes,
 )
 from flexman_gym.toolbox.controllers.lqr import LQR
 from flexman_gym.toolbox.controllers.references.trajectories import TIMING_LAWS
