@@ -19,7 +19,7 @@ SWALLOWED = "def test_it():\n    try:\n        import torch\n    except Exceptio
     ("model", "import flexman_gym.model.model\n\n\ndef test_it():\n    pass\n", ["--core"], "1 passed"),
     ("model", "import flexman_gym.toolbox.view\n", ["--core"], "flexman_gym.toolbox is a feature, which a test of the"),
     ("model", "def test_it():\n    import flexman_agents.sb3\n", ["--core"], "flexman_agents is a feature"),
-    ("model", "def test_it():\n    import flexman_gym\n    flexman_gym.control.LQR\n", ["--core"], ".toolbox is a feature"),
+    ("model", "def test_it():\n    from flexman_gym.control import LQR\n", ["--core"], "toolbox is a feature"),
     ("model", SWALLOWED, ["--core"], "torch is a feature"),
     ("model", MARKED, ["--core"], "1 deselected"),
     ("model", MARKED, [], "1 passed"),

@@ -73,6 +73,7 @@ def test_a_name_is_registered_once(plugin):
     assert refusal(fm.register, "controller", "damper", "arm_extras:Damper").startswith("name: 'damper'")
 
 
+@pytest.mark.feature
 @pytest.mark.parametrize("place", ["arm_extras.missing:make", "arm_extras:missing", "no_such_module:make"])
 def test_a_broken_plugin_is_named_and_does_not_disturb_others(place, plugin):
     fm.register("controller", "broken", place)

@@ -32,6 +32,7 @@ each_mode = pytest.mark.parametrize("settings", SETTINGS.values(), ids=SETTINGS)
 SHORT = {"horizon": 0.4, "limits": fm.Limits(rate=4.0)}
 
 
+@pytest.mark.feature
 @each_mode
 def test_one_environment_and_many_move_alike_to_the_bit_and_go_on_from_a_state(settings):
     ours = gym.make_vec("FlexRRR-v0", 3, "vector_entry_point", **settings, **SHORT)
@@ -51,6 +52,7 @@ def test_one_environment_and_many_move_alike_to_the_bit_and_go_on_from_a_state(s
     assert ended
 
 
+@pytest.mark.feature
 @each_mode
 def test_both_libraries_find_nothing_to_complain_about(settings):
     checker = pytest.importorskip("stable_baselines3.common.env_checker")
@@ -60,6 +62,7 @@ def test_both_libraries_find_nothing_to_complain_about(settings):
         checker.check_env(gym.make("FlexRRR-v0", **settings))
 
 
+@pytest.mark.feature
 def test_a_position_servo_comes_to_rest_where_it_is_told():
     env = FlexManEnv(name="FlexOne-v0", actions={"kind": "position", "range": 2.0}, horizon=20.0)
     env.reset(options={"start": [0.5], "goal_angles": [-0.4]})
@@ -69,6 +72,7 @@ def test_a_position_servo_comes_to_rest_where_it_is_told():
     assert env.episodes.agent.mode.names == ("position_1",)
 
 
+@pytest.mark.feature
 def test_a_velocity_servo_turns_as_fast_as_it_is_told_and_does_not_wind_up():
     env = FlexManEnv(name="FlexOne-v0", actions={"kind": "velocity", "range": [0.5]}, horizon=20.0)
     env.reset(options={"start": [-1.0], "goal_angles": [0.0]})
@@ -147,6 +151,7 @@ def test_servos_of_all_environments_are_stable_under_delay_and_lag_and_cease_to_
     assert late.spectral_radius(20.0 * stiffness, 20.0 * damping) > 1.0
 
 
+@pytest.mark.feature
 def test_a_servo_that_is_not_stable_is_told():
     with pytest.warns(UserWarning, match="not stable with a period of 0.02 s"):
         FlexManEnv(actions={"kind": "position", "stiffness": [148.0] * 3, "damping": [1200.0] * 3})
@@ -183,6 +188,7 @@ def test_drives_begin_at_rest_in_every_episode():
         assert venv.episodes.view.action == pytest.approx(1.0), "what was asked for"
 
 
+@pytest.mark.feature
 def test_friction_hides_no_unstable_servo():
     """The loop that slides is as unstable as without friction, and a loop with stuck motors may be the worst."""
     plain = fm.catalog.planar_2r()

@@ -28,6 +28,7 @@ def both(**settings):
         yield env
 
 
+@pytest.mark.feature
 @pytest.mark.parametrize("settings", [{}, {"base": "pd"}, {"action_repeat": 2}, {"actions": "position"}], ids=str)
 def test_clipped_action_has_the_effect_of_the_action_at_the_bound(settings):
     for beyond, bound in zip(both(clip_actions=True, **settings), both(**settings), strict=True):

@@ -217,6 +217,7 @@ def test_a_setting_has_help_and_a_plain_form(name):
 # The same episode everywhere
 
 
+@pytest.mark.feature
 def test_the_same_file_and_seed_give_the_same_episode_everywhere(tmp_path):
     """From gym.make, gym.make_vec and an evaluation, whose records are period by period."""
     pytest.importorskip("stable_baselines3")
@@ -242,6 +243,7 @@ def test_the_same_file_and_seed_give_the_same_episode_everywhere(tmp_path):
     assert np.array_equal(record.errors[::2], errors)
 
 
+@pytest.mark.feature
 def test_a_training_starts_with_the_episode_that_its_environment_gives():
     """The arms of a training are those of gym.make_vec with the training's seed."""
     pytest.importorskip("stable_baselines3")

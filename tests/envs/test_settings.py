@@ -82,6 +82,7 @@ def test_a_control_period_in_ms_is_warned_of_once():
     assert lines == ["control_period: 20 (s) is unusual, expected at most 1; wrong unit (ms)?"]
 
 
+@pytest.mark.feature
 def test_models_trajectories_and_choices_print_few_lines():
     model = fm.build_model(OWN)
     scene = fm.Scene(

@@ -159,6 +159,7 @@ def test_torques_of_passive_joints_are_refused(pendulum):
                  prescribed=(None, fm.Signal()))  # fmt: skip
 
 
+@pytest.mark.feature
 def test_a_passive_joint_has_no_torque_to_differentiate(pendulum):
     scene = fm.Scene(pendulum, FLEXIBLE, fm.ConstantTorque((0.0, 0.0)), REST, duration=0.1, output_step=0.1)
     assert fm.sensitivities(scene, to="motor_torques", step=0.01).parameters == ("motor_torques[0] (N m)",)
