@@ -99,7 +99,7 @@ class Study:
             measured.append(row)
         path = self._path(options.folder, table)
         path.parent.mkdir(parents=True, exist_ok=True)
-        write_rows(measured, path, table.digits, self.comment(options))
+        write_rows(measured, path, table.digits, self.comment(options), table.kind)
 
     def draw(self, folder: Path) -> int:
         """Write charts and pages from the rows in a folder, print the summary, and return the exit status."""

@@ -22,6 +22,7 @@ def test_an_unknown_name_is_refused_with_the_allowed_ones(capsys):
     assert stop.value.code == 2 and "invalid choice: 'nonsense' (choose from" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", STUDIES)
 def test_an_output_folder_that_cannot_be_written_is_refused_before_a_study_starts(name, capsys):
     runner(name)

@@ -78,6 +78,12 @@ def test_rows_of_tables_that_are_not_chosen_are_neither_computed_nor_written(mea
     assert (measured / "small.csv").read_bytes() == small and (measured / "large.csv").read_bytes() != before
 
 
+def test_a_table_without_rows_has_its_heads(tmp_path):
+    run(Study((Table("none", Square),), lambda _: [()], comment=lambda _: "a computer"), "--folder", str(tmp_path))
+    assert (tmp_path / "none.csv").read_text() == "# a computer\nnumber,square\n"
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("name", STUDIES)
 def test_files_of_a_study_are_those_of_the_record_of_evidence(name):
     study, known = runner(name), studies()[name]
