@@ -116,6 +116,13 @@ def test_calls_that_write_in_place_are_found(tmp_path):
         assert in_place(tmp_path / "file.py") == found, text
 
 
+def test_folders_of_tests_are_those_of_the_code():
+    folders = {path.parent.relative_to(Path(__file__).parent) for path in TESTS if path.name.startswith("test_")}
+    code = {path.parent.relative_to(PACKAGE) for path in PACKAGE.rglob("*.py") if path.name != "__init__.py"}
+    parts = {Path(*path.parts[: 1 + (path.parts[:1] == ("toolbox",))]) for path in code}
+    assert folders == parts | {Path(name) for name in ("agents", "docs", "oracles", "studies")}
+
+
 def test_installed_packages_are_the_folders_with_code():
     listed = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["setuptools"]["packages"]
     folders = {".".join(path.parent.relative_to(ROOT).parts) for path in PACKAGE.rglob("__init__.py")}

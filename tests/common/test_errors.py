@@ -6,7 +6,6 @@ import gymnasium as gym
 import pytest
 
 import flexman_gym as fm
-from flexman_gym.__main__ import main
 from flexman_gym.agent.base_controllers import BASES
 from flexman_gym.common.checks import one_of
 from flexman_gym.common.errors import KeywordError, nearest, suggestion, unknown_name
@@ -123,14 +122,6 @@ def test_error_suggests_a_name_that_is_near(action, near):
 def test_error_suggests_no_name_for_a_text_that_is_like_none(action):
     line = refusal(action)
     assert "bogus" in line and "nearest" not in line
-
-
-@pytest.mark.parametrize(("typed", "near"), [("evaluat", "evaluate"), ("sim", "simulate"), ("bogus", None)])
-def test_command_is_suggested_where_it_is_near(typed, near, capsys):
-    with pytest.raises(SystemExit):
-        main([typed])
-    line = capsys.readouterr().err.splitlines()[-1]
-    assert (f"; the nearest is {near};" in line) if near else ("nearest" not in line)
 
 
 def test_missing_path_is_a_file_that_does_not_exist_and_a_name_is_a_value():

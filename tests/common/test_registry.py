@@ -73,6 +73,7 @@ def test_a_name_is_registered_once(plugin):
     assert refusal(fm.register, "controller", "damper", "arm_extras:Damper").startswith("name: 'damper'")
 
 
+@pytest.mark.feature
 @pytest.mark.parametrize("place", ["arm_extras.missing:make", "arm_extras:missing", "no_such_module:make"])
 def test_a_broken_plugin_is_named_and_does_not_disturb_others(place, plugin):
     fm.register("controller", "broken", place)
@@ -106,6 +107,8 @@ def test_entry_points_are_read_when_a_name_is_not_found(monkeypatch, plugin):
     registry.plugins.cache_clear()
 
 
+@pytest.mark.feature
+@pytest.mark.slow
 def test_an_installed_package_adds_its_names(tmp_path):
     """Built and installed beside the library; the wrong and the broken entry are named and disturb nobody."""
     source = shutil.copytree(PACKAGE, tmp_path / "source")

@@ -171,7 +171,10 @@ def test_a_held_action_never_reaches_the_next_episode(mode):
 SHAPED = {"base": "privileged-lqr", "actions": "shaping", "sensors": ()}  # the mode reads before the agent acts, too
 
 
-@pytest.mark.parametrize("settings", [{"base": "pd"}, SHAPED], ids=["torque", "shaping"])
+@pytest.mark.parametrize(
+    "settings",
+    [pytest.param({"base": "pd"}, id="torque"), pytest.param(SHAPED, id="shaping", marks=pytest.mark.feature)],
+)
 @pytest.mark.parametrize("hold", [1, 4])
 def test_sensors_are_read_once_a_period_at_most(hold, settings, monkeypatch):
     """Those of the agent once an action, those of the base once a period; also where an episode ends on the way."""

@@ -3,7 +3,6 @@
 import json
 
 import gymnasium as gym
-import keywords
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -19,7 +18,6 @@ from flexman_gym.scene.serialization import find_arm, to_plain
 
 from oracles.assertions import refusal
 from oracles.chains import QUICK
-from oracles.files import ROOT
 
 OWN = {
     "id": "FlexPlanar-v0", "arm": {"catalog": "vertical_2r", "payload": {"mass": 0.25}}, "horizon": 0.3,
@@ -216,13 +214,10 @@ def test_a_setting_has_help_and_a_plain_form(name):
     assert getattr(again, name) == value or name == "sensors"
 
 
-def test_the_page_of_keywords_is_that_of_the_table():
-    assert (ROOT / "docs" / keywords.KEYWORDS_PAGE).read_text(encoding="utf-8") == keywords.keywords_page()
-
-
 # The same episode everywhere
 
 
+@pytest.mark.feature
 def test_the_same_file_and_seed_give_the_same_episode_everywhere(tmp_path):
     """From gym.make, gym.make_vec and an evaluation, whose records are period by period."""
     pytest.importorskip("stable_baselines3")
@@ -248,6 +243,7 @@ def test_the_same_file_and_seed_give_the_same_episode_everywhere(tmp_path):
     assert np.array_equal(record.errors[::2], errors)
 
 
+@pytest.mark.feature
 def test_a_training_starts_with_the_episode_that_its_environment_gives():
     """The arms of a training are those of gym.make_vec with the training's seed."""
     pytest.importorskip("stable_baselines3")

@@ -300,6 +300,7 @@ STUDIES = ("FlexRRR-v0", "FlexRRR-Track-v0", "FlexRRR-Hold-v0", "FlexPlanar-v0",
            "FlexPlanar-Hold-v0")  # fmt: skip
 
 
+@pytest.mark.feature
 @pytest.mark.parametrize("name", ["FlexRRR-v0", "FlexPlanar-v0"])
 def test_half_of_the_slews_of_the_lqr_exceed_a_limit_of_the_study(name):
     rows, count = [], 40
@@ -316,6 +317,7 @@ def test_half_of_the_slews_of_the_lqr_exceed_a_limit_of_the_study(name):
     assert (np.abs(shares - 0.5) < 0.2).all(), shares
 
 
+@pytest.mark.feature
 def test_an_episode_names_the_times_of_its_violations():
     limits = {"spring_torque": 0.5, "on_violation": "record"}
     result = fm.rollout("lqr", Configuration("FlexOne-v0", {"limits": limits, "horizon": 2.0}), range(3))
@@ -330,6 +332,7 @@ def test_an_episode_names_the_times_of_its_violations():
     assert "limits" not in fm.rollout("pd", "FlexOne-v0", [0]).episode(0).about
 
 
+@pytest.mark.feature
 def test_the_rotary_joint_has_the_limits_of_its_benchmark():
     """Motor angle 1 rad, motor rate 5 rad/s, deflection 0.1 rad of the spring; 10 V; an LQR ignores the spring."""
     environment = Configuration.load(ROOT / "docs/examples/rotary_joint.yaml")
@@ -350,6 +353,7 @@ def test_the_rotary_joint_has_the_limits_of_its_benchmark():
     assert safe["settling_time"] < 1.1 * found["settling_time"] and safe["change"] > 0.0
 
 
+@pytest.mark.feature
 def test_frames_show_the_strain_over_its_limit_and_the_workspace():
     floor = {"half_space": [[0, 0, -1], 0.3]}
     limits = fm.Limits(strain=1e-5, workspace=[floor], margin={"strain": 2e-6}, on_violation="record")
@@ -365,6 +369,7 @@ def test_frames_show_the_strain_over_its_limit_and_the_workspace():
     assert painter.workspace == limits.workspace and painter.scale == pytest.approx(3.0**0.5 * 1e-5)
 
 
+@pytest.mark.feature
 def test_metrics_of_violations_are_those_of_the_states():
     limits = {"spring_torque": 1.0, "margin": {"spring_torque": 0.2}, "on_violation": "cost"}
     environment = Configuration("FlexOne-v0", {"limits": limits, "horizon": 2.0})

@@ -45,6 +45,7 @@ def still(space):
 # Contracts
 
 
+@pytest.mark.feature
 @pytest.mark.parametrize("name", IDS)
 def test_both_libraries_find_nothing_to_complain_about(name):
     checker = pytest.importorskip("stable_baselines3.common.env_checker")

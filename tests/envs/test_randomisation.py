@@ -296,6 +296,7 @@ def test_limits_are_judged_without_noise():
     assert results[0][2]
 
 
+@pytest.mark.feature
 def test_checkers_find_nothing_to_complain_about():
     with warnings.catch_warnings():
         warnings.simplefilter("error")

@@ -87,6 +87,7 @@ def test_the_league_is_given_of_it_what_it_is_given_of_a_run(folder):
     assert "trained nor selected on the seed 4000001" in refusal(check_seeds_unseen, str(folder), [4_000_001])
 
 
+@pytest.mark.feature
 def test_what_its_base_knows_it_needs_too(tmp_path):
     environment = Configuration.from_plain(
         {"id": "FlexPlanar-v0", "base": "privileged-lqr", "sensors": "lab", "horizon": 1.0}
@@ -187,6 +188,7 @@ def test_nothing_in_it_runs(folder):
     assert "FLEXMAN_BOMB" not in os.environ
 
 
+@pytest.mark.feature
 @pytest.mark.parametrize("first", range(0, 60, 20))
 def test_mutated_files_are_refused_in_one_line_or_act_as_before(first, tmp_path):
     """`python -m oracles.shipped 1000` tries more."""

@@ -18,8 +18,6 @@ from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation.agents import find_agent, observation_layout
 from flexman_gym.evaluation.policy_files import ARRAYS, CHECK_ROWS, METADATA, write_policy
 
-from oracles.mutants import bent, mangled
-
 DESCRIBED = Configuration.from_plain({
     "id": "FlexPlanar-v0", "base": "pd", "action_repeat": 5, "sensors": ["full", "fine"], "horizon": 1.0,
     "gains": {"stiffness": [39.0, 5.56], "damping": [9.35, 1.33]},
@@ -81,6 +79,8 @@ def acting(folder, contents):
 
 def mutant(random):
     """Return the files with bytes of one of them changed, or with its JSON (of arrays: the header) modified."""
+    from oracles.mutants import bent, mangled
+
     name = (METADATA, ARRAYS)[random.integers(2)]
     content = files()[name]
     if random.integers(2) == 0:

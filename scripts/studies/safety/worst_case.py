@@ -1,17 +1,15 @@
-"""Search the worst case of the safety filter: python scripts/safety_worst.py --folder docs/evidence"""
+"""Worst case of the safety filter: search of payload, stiffness, start, goal and a pulse on the tip."""
 
-import argparse
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from flexman_gym.common.arrays import Array, BoolArray
-from flexman_gym.common.computer import computer_text
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation.rollouts import rollout
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.toolbox.league.worst_case import Box, ascend
-from studies.files import folder, write_rows
 
 ENVIRONMENT, SCALE = "FlexRRR-v0/unknown-lab", 0.6  # factor on the limits "study"
 HORIZON, SEED, POINTS = 4.0, 9000, 128  # s; seed of noise and points; random points before the ascents
@@ -98,18 +96,9 @@ def search(agent: str, pulse: bool, safety: bool) -> WorstRow:
     )  # fmt: skip
 
 
-def main() -> None:
-    """Search for each agent with and without pulse, print the rows and write them."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--folder", type=folder, default="out", help="output folder of the rows")
-    options, rows = parser.parse_args(), []
+def worst_rows() -> Iterator[WorstRow]:
+    """Yield the rows of each agent with and without filter and pulse."""
     for safety in (True, False):
         for agent in AGENTS:
             for pulse in (False, True):
-                rows.append(search(agent, pulse, safety))
-                print(rows[-1], flush=True)
-                write_rows(rows, options.folder / "safety_worst.csv", 4, computer_text())
-
-
-if __name__ == "__main__":
-    main()
+                yield search(agent, pulse, safety)

@@ -24,7 +24,7 @@ from oracles.assertions import refusal
 from oracles.files import command
 
 CONVERT = command("convert")
-STORED = Path(__file__).parents[1] / "agents" / "stopped_run"
+STORED = Path(__file__).parent / "agents" / "stopped_run"
 HINT = files.CONVERSION
 
 

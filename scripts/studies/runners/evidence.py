@@ -1,25 +1,31 @@
-"""List what is older than the code that it describes, and make it: python scripts/evidence.py --make servos"""
+"""List what is older than the code that it describes, and make or redraw it."""
 
-import argparse
-import sys
+from argparse import ArgumentParser, Namespace
 
+from flexman_gym.commands import CommandLine
 from studies.evidence import CURRENT, ROOT, make, read_record, studies
 from studies.screen import index
 
 HEAD = ("study", "rows", "page and chart", "made by", "CPU min")
 
 
-def main() -> int:
-    """Print the state of all studies, or make the named ones; return 2 for an unknown name."""
-    known = studies()
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("study", nargs="*", help=f"studies, from {', '.join(known)}; default: all")
+def arguments(parser: ArgumentParser) -> None:
+    """Add the studies and what is done with them."""
+    names = list(studies())
+    parser.add_argument("study", nargs="*", metavar="STUDY", help=f"studies, from {', '.join(names)}; default: all")
     parser.add_argument("--make", action="store_true", help="make what is not current; after an interruption, go on")
     parser.add_argument("--redraw", action="store_true", help="draw what is not current from the stored rows")
-    options = parser.parse_args()
+
+
+def run(options: Namespace) -> int:
+    """Print the state of all studies, or make the named ones.
+
+    Raises:
+        ValueError: for an unknown name.
+    """
+    known = studies()
     if unknown := sorted(set(options.study) - known.keys()):
-        print(f"study: {unknown[0]} is not allowed; give {', '.join(known)}", file=sys.stderr)
-        return 2
+        raise ValueError(f"study: {unknown[0]} is not allowed; give {', '.join(known)}")
     chosen = [known[name] for name in options.study or known]
     for study in chosen if options.make or options.redraw else ():
         print(f"{study.name}: about {study.minutes:g} min" if options.make else study.name, flush=True)
@@ -41,5 +47,4 @@ def main() -> int:
     return 0
 
 
-if __name__ == "__main__":
-    sys.exit(main())
+RUNNER = CommandLine(arguments, run)
