@@ -84,7 +84,7 @@ def test_what_is_said_to_be_unknown_counts_for_observer_and_law():
     base = {"kind": "adaptive-lqr", "unknown": {"payload_mass": (0.0, 0.2)}}
     env = FlexManVectorEnv(1, name="FlexPlanar-v0", base=base, **SMALL)
     assert env.episodes.base.observer.uncertain.names == ("joint_stiffness", "joint_stiffness", "payload_mass")
-    assert env.episodes.base.law._payloads == (0.0, 0.1, 0.2)
+    assert env.episodes.base.law.slews._payloads.tolist() == [0.0, 0.1, 0.2]
 
 
 SEEDS = range(70, 74)
@@ -147,7 +147,7 @@ def test_a_constant_torque_is_taken_away():
             world.step(lqg.act(world.readings(), world.last, np.ones(3, dtype=bool)))
         motors = world.batch.state[:, given.model.motor_columns]
         off.append(np.abs(motors - world.goals).max())
-    assert off[1] < 1e-9 < 0.01 < off[0]
+    assert off[1] < 1e-6 < 0.01 < off[0]
 
 
 def test_it_starts_where_its_encoders_say_and_is_told_no_more():
