@@ -7,15 +7,14 @@ import numpy as np
 from flexman_gym.agent.controller import Plant
 from flexman_gym.common.arrays import Array, Vector
 from flexman_gym.common.checks import one_of
-from flexman_gym.model.dynamics import mass_matrix
+from flexman_gym.envs.config.arm_settings import PEAK_ACCELERATION, PEAK_RATE, motor_speeds, slew_inertia
 from flexman_gym.model.model import Model
-from flexman_gym.model.statics import holding_torques, rest_state
+from flexman_gym.model.statics import holding_torques
 from flexman_gym.toolbox.controllers.excited_modes import excited_modes
 
 DESIGNS = ("arm", "named")  # origins of weights, payload nodes, and bounds and times of references
 POSTURE = 0.4  # rad; angle of each motor at which the scales are computed
 CHANGE = 0.46  # rad; root mean square of the changes of motor angles from -0.8 to 0.8 rad, all equally likely
-PEAK_ACCELERATION, PEAK_RATE = 10.0 / 3.0**0.5, 1.875  # of a minimum-jerk motion of 1 rad in 1 s, rad/s^2 and rad/s
 TORQUE_FRACTION, LEAST_FRACTION = 0.95, 0.05  # fractions of the torque limits: of a slew with its weight, beside weight
 SPEED_FRACTION, RATE_FRACTION = 0.85, 0.6  # largest planned rate / largest speed of a motor, / limit of motor rates
 RINGING_AMPLITUDE = 0.1  # fraction of the largest tip amplitude of a mode; smaller ones do not ring
@@ -74,8 +73,7 @@ class ArmScales(NamedTuple):
             limits: (n,) torque limits, N m.
             rate_limit: largest motor rate in the environment, rad/s.
         """
-        motors = [joint.motor for joint in model.arm.joints]
-        speeds = [each.joint_speed_limit if each and each.joint_speed_limit else np.inf for each in motors]
+        speeds = [np.inf if speed is None else speed for speed in motor_speeds(model.arm)]
         rates = np.minimum(SPEED_FRACTION * np.array(speeds, dtype=float), RATE_FRACTION * rate_limit)
         posture, torques = np.full(model.n_joints, POSTURE), np.asarray(limits, dtype=float)
         duration = _torque_slew(model, torques, posture)
@@ -143,8 +141,6 @@ def _torque_slew(model: Model, limits: Array, posture: Array) -> float:
 
     The torque of a joint is its root mean square over independent changes of the motor angles, each of CHANGE.
     """
-    n, columns, weight = model.n_joints, model.motor_columns, np.abs(holding_torques(model, posture))
-    mass = mass_matrix(model, rest_state(model, posture))
-    inertia = mass[:n, :n] + np.diag(np.where(columns != np.arange(n), np.diag(mass)[columns], 0.0))
+    weight, inertia = np.abs(holding_torques(model, posture)), slew_inertia(model, posture)
     free = np.maximum(TORQUE_FRACTION * limits - weight, LEAST_FRACTION * limits)
     return float(np.sqrt((PEAK_ACCELERATION * CHANGE * np.linalg.norm(inertia, axis=1) / free).max()))

@@ -56,8 +56,8 @@ class Tracking:
         payloads = (low, 0.5 * (low + high), high) if high > low else (low,)
         self.limits, self._period = np.array(plant.torque_limit), plant.period
         self._paths = PathReferences(model, plant.period, payloads)
-        bounds, self._equilibrium = scales.bounds(self.limits, FEEDFORWARD_FRACTION), not scales.named
-        self.slews = SlewReferences(model, bounds, payloads, scales.slew, self._equilibrium)
+        bounds = scales.bounds(self.limits, FEEDFORWARD_FRACTION)
+        self.slews = SlewReferences(model, bounds, payloads, scales.slew, equilibrium=not scales.named)
         tight = weights._replace(tip=HOLDING_FACTOR * weights.tip)
         nodes = payloads if scales.named else spread(payloads)
         self._gains = [
@@ -173,14 +173,12 @@ class Tracking:
             start = np.where(self._holding[first, None], self._goal[first], estimate.states[first][:, self._motors])
             self.slews.begin(first, start, self._goal[first])
             self.slews.adapt(first, estimate.parameters)
-            if self._equilibrium:
-                self.slews.end_in_equilibrium(first, estimate.parameters)
+            self.slews.end_in_equilibrium(first, estimate.parameters)
             self.slews.plan_timing(first, self.clock(estimate, first), first=True)
         retimed = arms[(self._ages[arms, None] == self._retimed).any(axis=1)] if estimate.parameters else arms[:0]
         self.slews.adapt(np.union1d(arms[due], retimed), estimate.parameters)
-        if self._equilibrium and estimate.parameters:
-            ended = due & (self._ages[arms] % (self.unit * END_INTERVAL) == 0)
-            self.slews.end_in_equilibrium(arms[ended], estimate.parameters)
+        ended = due & (self._ages[arms] % (self.unit * END_INTERVAL) == 0)
+        self.slews.end_in_equilibrium(arms[ended], estimate.parameters)
         if len(retimed):
             retimed = retimed[self.slews.at(self.clock(estimate, retimed), retimed)[0] < LAST_RETIMING]
             self.slews.plan_timing(retimed, self.clock(estimate, retimed), first=False)

@@ -9,7 +9,7 @@ import numpy as np
 from flexman_gym.common.arrays import Array, IntArray, pad_rows
 from flexman_gym.model.friction import friction_torques
 from flexman_gym.model.model import Model
-from flexman_gym.model.statics import holding_torques, rest_state
+from flexman_gym.model.statics import holding_torques, rest_state, static_torques
 from flexman_gym.simulation.physical_parameters import varied_model
 from flexman_gym.toolbox.controllers.arm_scales import SlewBounds
 from flexman_gym.toolbox.controllers.friction_compensation import estimated_friction
@@ -173,9 +173,9 @@ class SlewReferences:
 
         The tip of the equilibrium is the tip at which the nominal arm rests. Deflections and torques at rest change
         along the path in proportion to its parameter. An estimated arm that is too compliant for its weight keeps the
-        end that it has. Nothing changes without gravity.
+        end that it has. Nothing changes without gravity, without estimates, and for linear ends of paths.
         """
-        if not self.model.constants.gravity.any():
+        if not (self._equilibrium and parameters and self.model.constants.gravity.any()):
             return
         d = self.model.n_dof
         for arm in arms:
@@ -184,16 +184,16 @@ class SlewReferences:
             try:
                 for _ in range(NEWTON_ITERATIONS):
                     end = end + self._compensation.damped_rotation(target, rest_state(estimated, end)[:d])
-                sag = rest_state(estimated, end)[:d] - estimated.at_rest(end[None])[0, :d]
-                torques = holding_torques(estimated, end)
+                rest = rest_state(estimated, end)[:d]
             except ValueError:
                 continue
+            sag, torques = rest - estimated.at_rest(end[None])[0, :d], static_torques(estimated, rest)
             self.shift[arm] = end - goal
-            for kept, table, rest in (
+            for kept, table, value in (
                 (self._end_coordinates, self._adapted_coordinates, sag / self._compliance[arm]),
                 (self._end_torques, self._adapted_torques, torques),
             ):
-                change = rest - table[arm, -1, REST]
+                change = value - table[arm, -1, REST]
                 kept[arm] += change
                 table[arm, :, REST] += PATH_POINTS[:, None] * change
 
