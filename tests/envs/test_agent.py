@@ -109,6 +109,7 @@ def test_it_is_many_single_environments_bit_for_bit(hold, mode, settings):
     assert all(same_side_by_side(ours, theirs, actions(3, 80))), "both ways to end were seen"
 
 
+@pytest.mark.slow
 def test_what_the_motors_of_an_arm_that_is_over_were_asked_for_stays():
     """Of three arms that end within an action, in different periods of it, each tells what an arm alone tells."""
     settings = {"action_repeat": 5, **STIFF, "limits": TIGHT, "horizon": 0.5, "task": Asking()}
