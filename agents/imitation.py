@@ -21,7 +21,8 @@ from flexman_gym.agent.controller import Controller, EpisodeInfo, Readings
 from flexman_gym.agent.mode_wrapper import ModeWrapper
 from flexman_gym.agent.network import MAX_INPUT, VARIANCE_OFFSET, Network
 from flexman_gym.common.arrays import Array, BoolArray, IntArray
-from flexman_gym.common.checks import one_of, value_error
+from flexman_gym.common.checks import one_of
+from flexman_gym.common.errors import value_error
 from flexman_gym.common.run_folder import NEWEST, write_npz
 from flexman_gym.envs.config.base_and_mode import make_base_and_mode
 from flexman_gym.envs.config.fidelity import resolve_fidelity

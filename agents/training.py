@@ -31,7 +31,8 @@ from flexman_agents.imitation import DAggerRun
 from flexman_agents.sb3 import make_model
 from flexman_agents.settings import EXPLORATION_SCHEDULES, MAX_STEPS, Settings
 from flexman_agents.vector import SB3VecEnv
-from flexman_gym.common.checks import value_error, whole_number
+from flexman_gym.common.checks import whole_number
+from flexman_gym.common.errors import value_error
 from flexman_gym.common.files import reading
 from flexman_gym.common.run_folder import (
     BEST,

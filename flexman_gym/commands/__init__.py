@@ -5,7 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from flexman_gym.common.checks import short_path
+from flexman_gym.common.errors import short_path
 from flexman_gym.common.files import check_output
 
 if TYPE_CHECKING:

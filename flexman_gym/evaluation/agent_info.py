@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from flexman_gym.agent.base_controllers import BASES
-from flexman_gym.common.checks import short_path, value_error
+from flexman_gym.common.errors import short_path, value_error
 from flexman_gym.common.run_folder import SETTINGS, read_settings
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.sensors import plain_sensors

@@ -16,7 +16,7 @@ from flexman_gym.agent.base_controllers import BASES, parse_kind
 from flexman_gym.agent.controller import Controller, EpisodeInfo, Readings
 from flexman_gym.agent.network import Network
 from flexman_gym.common.arrays import Array, BoolArray, IntArray
-from flexman_gym.common.checks import unknown_name, value_error
+from flexman_gym.common.errors import unknown_name, value_error
 from flexman_gym.common.files import existing_file, naming, reading
 from flexman_gym.common.run_folder import (
     BEST,

@@ -7,7 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from flexman_gym.common.arrays import Array, IntArray, Matrix, Vector
-from flexman_gym.common.checks import value_error, vector
+from flexman_gym.common.checks import vector
+from flexman_gym.common.errors import value_error
 from flexman_gym.kernels import inverse, outputs
 from flexman_gym.kernels.layout import OUTPUTS, TIP, Work, make_work
 from flexman_gym.model.dynamics import elastic_forces, inertial_forces, stiffness_matrix

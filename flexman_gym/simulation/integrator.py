@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from flexman_gym.common.arrays import Array
-from flexman_gym.common.checks import one_of, positive, value_error
+from flexman_gym.common.checks import one_of, positive
+from flexman_gym.common.errors import value_error
 from flexman_gym.kernels import implicit, layout, outputs, runge_kutta
 from flexman_gym.kernels.arguments import address_table, aligned_zeros
 from flexman_gym.kernels.lanes import SEQUENCES

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from flexman_gym.common.arrays import Array
-from flexman_gym.common.checks import value_error
+from flexman_gym.common.errors import value_error
 from flexman_gym.envs.limits import Limits
 from flexman_gym.model.dynamics import mass_matrix
 from flexman_gym.model.model import Model, build_model

@@ -7,20 +7,9 @@ from typing import Any, NoReturn, Self
 
 from flexman_gym.agent.pd import torque_limits
 from flexman_gym.common import files
-from flexman_gym.common.checks import (
-    key_error,
-    keyword_error,
-    mapping,
-    nearest,
-    one_of,
-    positive,
-    sequence,
-    text,
-    unknown_name,
-    value_error,
-    vector,
-)
-from flexman_gym.common.markdown import text_fields
+from flexman_gym.common.checks import mapping, one_of, positive, sequence, text, vector
+from flexman_gym.common.errors import key_error, keyword_error, nearest, unknown_name, value_error
+from flexman_gym.common.formatting import text_fields
 from flexman_gym.common.registry import load_entry
 from flexman_gym.envs.config.arm_settings import derived_settings
 from flexman_gym.envs.config.conditions import condition_for_arm

@@ -5,7 +5,8 @@ from typing import NamedTuple, Self
 import numpy as np
 
 from flexman_gym.common.arrays import Array
-from flexman_gym.common.checks import check_solvable, mapping, positive, value_error
+from flexman_gym.common.checks import check_solvable, mapping, positive
+from flexman_gym.common.errors import value_error
 from flexman_gym.model.model import Model
 from flexman_gym.model.state_space import LinearModel, discretize
 from flexman_gym.toolbox.controllers.arm_scales import ArmScales

@@ -18,8 +18,9 @@ import numpy as np
 from flexman_gym.agent.base_controllers import ControllerEntry
 from flexman_gym.agent.controller import EpisodeInfo, Plant, Readings
 from flexman_gym.common.arrays import Array, BoolArray, IntArray, pad_rows, row_dots
-from flexman_gym.common.checks import positive, value_error
+from flexman_gym.common.checks import positive
 from flexman_gym.common.computer import optional_module
+from flexman_gym.common.errors import value_error
 from flexman_gym.model.friction import friction_torques, frictionless
 from flexman_gym.model.model import Model
 from flexman_gym.model.state_space import LinearModel, discretize

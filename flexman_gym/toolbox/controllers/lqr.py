@@ -10,7 +10,8 @@ from flexman_gym.agent.base_controllers import ControllerEntry
 from flexman_gym.agent.controller import EpisodeInfo, Plant, Readings, saturated
 from flexman_gym.agent.pd import torque_limits
 from flexman_gym.common.arrays import Array, BoolArray, IntArray, Vector, pad_rows, row_dots
-from flexman_gym.common.checks import one_of, positive, value_error
+from flexman_gym.common.checks import one_of, positive
+from flexman_gym.common.errors import value_error
 from flexman_gym.model.model import Model, check_model
 from flexman_gym.model.statics import holding_torques, rest_state
 from flexman_gym.simulation.linearization import linearize
@@ -68,6 +69,7 @@ class LQR:
     """
 
     sensors: tuple[str, ...] = ("state",)
+    c_program = "flexman_gym.toolbox.deployment.c_programs:lqr_program"
 
     def __init__(
         self,
@@ -80,7 +82,8 @@ class LQR:
         for i in np.flatnonzero(check_model(model).constants.passive):
             raise value_error(f"LQR.model: arm.joints[{i}].passive", True, "an arm with a motor at each joint")
         n, d = model.n_joints, model.n_dof
-        self.model, self.period = model, positive("period", period, "s")
+        self.model = self.gravity_model = model
+        self.period = positive("period", period, "s")
         self.limits = np.array(torque_limits("torque_limit", torque_limit, n))
         self.scales = scales or ArmScales.of(model, self.limits)
         self.weights = weights or self._default_weights()
@@ -169,6 +172,7 @@ class TrackingLQR(LQR):
     """
 
     state_fields = ("_now",)
+    c_program = LQR.c_program
 
     def __init__(
         self,

@@ -10,8 +10,8 @@ from flexman_gym.agent.base_controllers import ControllerEntry
 from flexman_gym.agent.controller import EpisodeInfo, Plant, Readings
 from flexman_gym.agent.pd import torque_limits
 from flexman_gym.common.arrays import Array, BoolArray, IntArray, Vector, pad_rows, row_dots
-from flexman_gym.common.checks import value_error
 from flexman_gym.common.computer import optional_module
+from flexman_gym.common.errors import value_error
 from flexman_gym.kernels.layout import TIP, TIP_VELOCITY
 from flexman_gym.model.model import Model, check_model
 from flexman_gym.model.state_space import discretize

@@ -11,7 +11,7 @@ import numpy as np
 from flexman_gym.agent.base_controllers import make_base
 from flexman_gym.agent.pd import PD
 from flexman_gym.common.arrays import Array
-from flexman_gym.common.checks import value_error
+from flexman_gym.common.errors import value_error
 from flexman_gym.common.parallel import Workers, parallel_map
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity

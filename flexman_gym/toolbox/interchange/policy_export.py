@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from flexman_gym.agent.network import MAX_INPUT, Network, policy_parameters
 from flexman_gym.common.arrays import Array
-from flexman_gym.common.checks import value_error
 from flexman_gym.common.computer import optional_module
+from flexman_gym.common.errors import value_error
 from flexman_gym.common.files import existing_file, write_file
 from flexman_gym.common.run_folder import BEST, NEWEST, read_npz, read_settings
 from flexman_gym.envs.config.configuration import Configuration

@@ -13,9 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from flexman_gym.common.checks import value_error
 from flexman_gym.common.computer import computer_info
+from flexman_gym.common.errors import value_error
 from flexman_gym.common.files import check_output, write_atomically
+from flexman_gym.common.formatting import millimetres
 from flexman_gym.common.parallel import Workers
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
@@ -23,8 +24,9 @@ from flexman_gym.envs.registration import NOMINAL
 from flexman_gym.envs.tasks import plain_task
 from flexman_gym.evaluation.agents import INTERFACE, find_agent
 from flexman_gym.evaluation.metrics import LIMIT_METRICS, METRICS, task_metrics
-from flexman_gym.evaluation.policy_files import CERTIFICATE, millimetres, policy_folder, read_policy
+from flexman_gym.evaluation.policy_files import policy_folder, read_policy
 from flexman_gym.evaluation.rollouts import TEST_SEEDS
+from flexman_gym.toolbox.league.certificate_file import CERTIFICATE
 from flexman_gym.toolbox.league.rows import LIMITED, VALUES, EpisodeRow, run_league
 from flexman_gym.toolbox.league.scenarios import CHANGES, GIVEN, PLANTS, find_scenario
 from flexman_gym.toolbox.league.worst_case import worst_case

@@ -8,7 +8,8 @@ from textwrap import fill
 import numpy as np
 
 from flexman_gym.common.files import write_file
-from flexman_gym.common.markdown import markdown_table, number_text
+from flexman_gym.common.formatting import number_text
+from flexman_gym.common.markdown import markdown_table
 from flexman_gym.envs.config.named_environments import DEFAULT_ID, NAMED_ENVIRONMENTS
 from flexman_gym.evaluation.agent_info import INFORMATION, describe_agent
 from flexman_gym.evaluation.agents import SIMPLE_AGENTS

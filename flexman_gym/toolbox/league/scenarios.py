@@ -4,7 +4,8 @@ from collections.abc import Callable, Mapping
 from importlib.util import find_spec
 from typing import Any, NamedTuple
 
-from flexman_gym.common.checks import one_of, value_error
+from flexman_gym.common.checks import one_of
+from flexman_gym.common.errors import value_error
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.named_environments import DEFAULT_ID, NAMED_ENVIRONMENTS
 from flexman_gym.envs.registration import NOMINAL
@@ -233,3 +234,9 @@ def _find_environment(name: str) -> Configuration:
     else:
         whole = Configuration.find(name.removesuffix(f"/{NOMINAL}"))
     return whole.without(INTERFACE)
+
+
+def change_name(scenario: str) -> str:
+    """Return the change in the name of a scenario, such as "delay=3" or "@mujoco", without "+given"."""
+    where, at, plant = scenario.partition("@")
+    return at + plant or where.rpartition("/")[2].removesuffix(GIVEN)

@@ -11,18 +11,8 @@ import numpy as np
 
 from flexman_gym.agent.pd import PD
 from flexman_gym.common.arrays import Array
-from flexman_gym.common.checks import (
-    error_text,
-    finite,
-    flag,
-    mapping,
-    one_of,
-    sequence,
-    text,
-    value_error,
-    vector,
-    whole_number,
-)
+from flexman_gym.common.checks import finite, flag, mapping, one_of, sequence, text, vector, whole_number
+from flexman_gym.common.errors import error_text, value_error
 from flexman_gym.common.files import new_folder
 from flexman_gym.common.run_folder import SETTINGS as RUN_SETTINGS
 from flexman_gym.envs.config.configuration import Configuration

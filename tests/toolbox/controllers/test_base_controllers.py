@@ -14,8 +14,8 @@ from flexman_gym.evaluation.rollouts import rollout
 from flexman_gym.toolbox.controllers.cost_weights import CostWeights, NamedWeights
 from flexman_gym.toolbox.controllers.input_shaping.shaped_controller import InputShapedController
 from flexman_gym.toolbox.controllers.lqr import LQR, TrackingLQR
+from flexman_gym.toolbox.controllers.output_feedback import OutputFeedback
 from flexman_gym.toolbox.controllers.torque_feedback_pd import TorqueFeedbackPD
-from flexman_gym.toolbox.controllers.tracking import OutputFeedback
 
 from oracles.assertions import refusal
 

@@ -12,7 +12,8 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 
 from flexman_gym.common.arrays import Array
-from flexman_gym.common.checks import non_negative, one_of, physical, positive, sample_count, value_error
+from flexman_gym.common.checks import non_negative, one_of, physical, positive, sample_count
+from flexman_gym.common.errors import value_error
 from flexman_gym.model.model import Model
 from flexman_gym.simulation.physical_parameters import varied_model
 from flexman_gym.toolbox.controllers.excited_modes import excited_modes

@@ -6,7 +6,8 @@ import numpy as np
 
 from flexman_gym.agent.controller import EpisodeInfo, Plant, Readings
 from flexman_gym.common.arrays import Array, BoolArray, IntArray, Vector, pad_rows, row_dots
-from flexman_gym.common.checks import flag, non_negative, value_error, vector
+from flexman_gym.common.checks import flag, non_negative, vector
+from flexman_gym.common.errors import value_error
 from flexman_gym.model.linearization import LINEAR_SENSORS
 from flexman_gym.model.statics import holding_torques, rest_state
 from flexman_gym.toolbox.controllers.internal_model import DelayCompensation, DiscreteJacobians, InternalModels

@@ -11,7 +11,8 @@ import numpy as np
 from flexman_gym.agent.base_controllers import ControllerEntry
 from flexman_gym.agent.controller import EpisodeInfo, Plant
 from flexman_gym.common.arrays import Array, BoolArray, IntArray, Vector, pad_rows, row_dots
-from flexman_gym.common.checks import text, value_error
+from flexman_gym.common.checks import text
+from flexman_gym.common.errors import value_error
 from flexman_gym.common.files import open_arrays, reading, write_file
 from flexman_gym.kernels.layout import OK, TIP
 from flexman_gym.model.model import Model, check_model

@@ -7,7 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from flexman_gym.common.arrays import Array, IntArray
-from flexman_gym.common.checks import one_of, physical, sample_count, value_error
+from flexman_gym.common.checks import one_of, physical, sample_count
+from flexman_gym.common.errors import value_error
 from flexman_gym.kernels import outputs
 from flexman_gym.kernels.layout import OUTPUTS, TIP, TIP_VELOCITY, make_work
 from flexman_gym.model.dynamics import inertial_forces, stiffness_matrix

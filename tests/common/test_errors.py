@@ -7,7 +7,8 @@ import pytest
 
 import flexman_gym as fm
 from flexman_gym.agent.base_controllers import BASES
-from flexman_gym.common.checks import KeywordError, nearest, one_of, suggestion, unknown_name
+from flexman_gym.common.checks import one_of
+from flexman_gym.common.errors import KeywordError, nearest, suggestion, unknown_name
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.envs.env import FlexManEnv
