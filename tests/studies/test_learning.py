@@ -156,4 +156,5 @@ def test_an_unknown_case_is_refused_in_one_line(capsys):
         main(["learning", "--only", "recipe/nothing"])
     assert stop.value.code == 2
     said = capsys.readouterr().err.splitlines()[-1]
-    assert "argument --only: invalid choice: 'recipe/nothing' (choose from 'recipe/" in said and said.endswith("'tasks')")
+    assert "argument --only: invalid choice: 'recipe/nothing' (choose from 'recipe/" in said
+    assert said.endswith("'tasks')")
