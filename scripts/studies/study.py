@@ -26,8 +26,10 @@ class Table(NamedTuple):
     digits: int = 6
 
 
-QUICK = {"--quick": {"action": "store_true", "help": "measure a small grid"}}
-KEPT = {"--kept": {"type": folder, "help": "folder of finished parts, from which an interrupted study resumes"}}
+QUICK: dict[str, dict[str, Any]] = {"--quick": {"action": "store_true", "help": "measure a small grid"}}
+KEPT: dict[str, dict[str, Any]] = {
+    "--kept": {"type": folder, "help": "folder of finished parts, from which an interrupted study resumes"}
+}
 
 
 @dataclass(frozen=True)
