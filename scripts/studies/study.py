@@ -26,25 +26,10 @@ class Table(NamedTuple):
     digits: int = 6
 
 
-def no_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add no arguments to a parser."""
-
-
-def workers(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments of a study whose parts are computed in parallel and are kept for a resumption."""
-    Workers.arguments(parser)
-    kept(parser)
-
-
-def kept(parser: argparse.ArgumentParser, default: str | None = None) -> None:
-    """Add the argument of a study that keeps its finished parts, by default in a folder or not at all."""
-    text = "folder of finished parts, from which an interrupted study resumes"
-    parser.add_argument("--kept", type=folder, default=default, help=text)
-
-
-def quick(parser: argparse.ArgumentParser) -> None:
-    """Add the argument of a study that has a small grid."""
-    parser.add_argument("--quick", action="store_true", help="measure a small grid")
+QUICK: dict[str, dict[str, Any]] = {"--quick": {"action": "store_true", "help": "measure a small grid"}}
+KEPT: dict[str, dict[str, Any]] = {
+    "--kept": {"type": folder, "help": "folder of finished parts, from which an interrupted study resumes"}
+}
 
 
 @dataclass(frozen=True)
@@ -59,7 +44,8 @@ class Study:
             files and comments, that returns the text of the page.
         charts: function of the output folder and the rows of all tables that draws the charts.
         report: function of the rows of all tables that prints a summary and returns the exit status, None for 0.
-        own_arguments: function that adds arguments of this study to a parser.
+        options: own options: name -> keywords of `add_argument`.
+        parallel: True for a study whose parts can be computed by several processes, see `Workers`.
         comment: function of the options that returns the comment of the files: the computer.
     """
 
@@ -68,7 +54,8 @@ class Study:
     pages: Mapping[str, Callable[..., str]] = field(default_factory=dict)
     charts: Callable[..., Any] | None = None
     report: Callable[..., int | None] | None = None
-    own_arguments: Callable[[argparse.ArgumentParser], None] = no_arguments
+    options: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    parallel: bool = False
     comment: Callable[[argparse.Namespace], str] = lambda _: computer_text()
 
     def arguments(self, parser: argparse.ArgumentParser) -> None:
@@ -77,7 +64,10 @@ class Study:
         parser.add_argument("--folder", type=folder, default="out", help="output folder (default: %(default)s)")
         parser.add_argument("--redraw", action="store_true", help="write charts and pages from stored rows")
         parser.add_argument("--tables", nargs="+", choices=names, default=names, help="files of rows to write")
-        self.own_arguments(parser)
+        for name, keywords in self.options.items():
+            parser.add_argument(name, **keywords)
+        if self.parallel:
+            Workers.arguments(parser)
 
     def run(self, options: argparse.Namespace) -> int:
         """Measure and store the rows, unless they are only drawn, write charts and pages, and return the exit status.

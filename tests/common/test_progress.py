@@ -52,6 +52,7 @@ def test_a_long_fit_says_how_far_it_is(impatient, capsys):
     assert lines and all("evaluations of the fit after" in line for line in lines)
 
 
+@pytest.mark.feature
 @pytest.mark.slow
 def test_a_long_choice_says_how_far_it_is(impatient, capsys):
     choice = fm.choose_model(fm.catalog.paper_scene("rr"), tolerance=0.0123)

@@ -33,6 +33,7 @@ def plugin(monkeypatch):
             del table._loaded[name]
 
 
+@pytest.mark.slow
 def test_registered_names_are_known_to_environments_agents_and_metrics(plugin):
     for kind, name, entry in (
         ("controller", "damper", "make_damper"),
@@ -90,6 +91,7 @@ def test_files_run_no_code(plugin, tmp_path):
     assert "base: 'arm_extras:make_damper' is not allowed" in line
 
 
+@pytest.mark.slow
 def test_processes_that_are_started_later_know_registered_names(plugin):
     fm.register("controller", "damper", "arm_extras:make_damper")
     script = "import gymnasium, flexman_gym; print(gymnasium.make('FlexOne-v0', base='damper').unwrapped.episodes.base)"

@@ -58,6 +58,7 @@ def like(setup):
 # There and back
 
 
+@pytest.mark.feature
 @pytest.mark.slow
 @settings(QUICK, max_examples=60)
 @given(st.sampled_from(sorted(NAMED_ENVIRONMENTS)), st.fixed_dictionaries({}, optional=PARTS))
@@ -184,6 +185,7 @@ def test_an_environment_parses_its_configuration_once_and_takes_one_as_it_is(par
     assert refusal(lambda: gym.make("FlexOne-v0", configuration={})).startswith("configuration: {} is not allowed")
 
 
+@pytest.mark.feature
 @pytest.mark.slow
 @pytest.mark.parametrize(("options", "count"), [([], 1), (["--env", "own.yaml", "--set", "arm.payload.mass=0.2"], 2)])
 def test_a_training_parses_its_recipe_and_an_environment_in_its_place(parsed, tmp_path, monkeypatch, options, count):

@@ -149,12 +149,14 @@ def test_springs_with_knees_have_the_torques_that_accelerate_the_rotors():
             assert env.episodes.view.spring_torques[arm] == pytest.approx(expected, rel=1e-9, abs=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("settings", [{"on_violation": "cost"}, {"on_violation": "record"}, {}])
 @pytest.mark.parametrize("repeat", [1, 3])
 def test_many_arms_have_the_distances_and_costs_of_single_ones(settings, repeat):
     same_alone_and_among_others("FlexRRR-v0", 25, limits=ALL | settings, action_repeat=repeat, condition="stiffness")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", tuple(AutoresetMode))
 def test_distances_and_costs_after_the_end_of_episodes_are_those_of_single_arms(mode):
     ours = FlexManVectorEnv(3, autoreset_mode=mode, limits=ALL)

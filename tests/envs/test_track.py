@@ -151,6 +151,7 @@ def test_a_plan_that_follows_a_path_keeps_the_tip_of_the_bent_arm_on_it():
     assert slew.states[21:-21, d:] == pytest.approx(rates[20:-20], abs=2e-3), "but for the ends"
 
 
+@pytest.mark.feature
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["FlexRRR-Track-v0", "FlexPlanar-Track-v0", "FlexRRR-Hold-v0", "FlexPlanar-Hold-v0"])
 def test_nothing_a_pd_and_an_lqr_are_apart(name):

@@ -104,6 +104,7 @@ def test_a_policy_keeps_the_gains_that_it_learned_on(run):
         assert np.array_equal(both[0].actions, both[1].actions) == (name != "pd"), "the baseline has the condition's"
 
 
+@pytest.mark.feature
 @pytest.mark.slow
 def test_baselines_run_on_the_environment_that_is_named():
     described = Configuration(
@@ -234,6 +235,7 @@ def test_what_acts_nowhere_is_refused_in_one_line(tmp_path):
         find_agent(str(tmp_path))
 
 
+@pytest.mark.feature
 @pytest.mark.slow
 def test_a_policy_is_used_with_the_base_that_its_run_says(tmp_path):
     """On the estimates of an observer that is made for the environment in which it plays, with a delay there."""

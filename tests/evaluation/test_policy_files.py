@@ -222,6 +222,7 @@ def test_a_policy_of_the_package_is_small_and_says_what_it_is(name):
     assert {each["unit"] for each in about["observation"]} >= ({"1"} if shaped else {"rad", "m"})
 
 
+@pytest.mark.feature
 @pytest.mark.slow
 @pytest.mark.parametrize("name", POLICIES)
 def test_a_policy_of_the_package_reaches_its_row_again(name):

@@ -131,6 +131,7 @@ def test_the_band_is_a_part_of_the_reach():
         assert (record.errors[after:] <= record.band).all() and record.errors[after - 1] > record.band
 
 
+@pytest.mark.slow
 def test_an_environment_has_an_id_a_condition_or_a_file(tmp_path):
     (tmp_path / "one.yaml").write_text("id: FlexOne-v0\nhorizon: 0.5\n")
     assert fm.rollout("zero", str(tmp_path / "one.yaml"), [1]).lengths.tolist() == [25]

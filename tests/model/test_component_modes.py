@@ -63,6 +63,7 @@ def test_loaded_modes_are_orthonormal_and_ascend(sample):
         assert np.allclose(scaled, np.eye(len(mass)), rtol=0.0, atol=1e-6)
 
 
+@pytest.mark.slow
 @settings(QUICK)
 @given(samples(most_links=1, flexible_links=True, flexible_joints=False), st.floats(1e-4, 0.9))
 def test_modal_damping_gives_every_mode_its_ratio(sample, ratio):

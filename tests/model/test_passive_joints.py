@@ -107,6 +107,7 @@ def test_motion_of_a_pendulum_is_that_of_its_equation(pendulum):
     np.testing.assert_allclose(run.joint_angles[:, 1], exact, atol=2e-8)
 
 
+@pytest.mark.slow
 def test_energy_of_spring_and_damper_is_balanced(pendulum):
     scene = fm.Scene(pendulum, FLEXIBLE, fm.ConstantTorque((2.0, 0.0)), fm.Initial((0.1, 0.4), (0.0, 0.0)),
                      duration=1.0, output_step=0.1)  # fmt: skip

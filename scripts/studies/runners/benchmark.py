@@ -1,24 +1,17 @@
 """Speed of environments, training and other simulators, and steps of many arms without growing memory."""
 
-from argparse import ArgumentParser, Namespace
+from argparse import Namespace
 from collections.abc import Iterator, Sequence
 
 from flexman_gym.common.computer import computer_text
 from studies.benchmark import measure as benchmark
 from studies.benchmark.endurance import ALLOWED, MEMORY, SETTLED, WARM_MEMORY, EnduranceRow, endurance_rows, endure
 from studies.benchmark.page import page
-from studies.study import Study, Table, quick
+from studies.study import QUICK, Study, Table
 
 EVALUATION_ROUNDS, PART_ROUNDS, STARTS = 40, 15, 5
-STEPS, ARMS, FEW_STEPS, FEW_ARMS = 10_000_000, 256, 3000, 8  # of the endurance test, and with --quick
+FEW_STEPS, FEW_ARMS = 3000, 8  # of the endurance test with --quick
 PEERS = ("gymnasium", "stable-baselines3", "torch", "mujoco", "pin")
-
-
-def arguments(parser: ArgumentParser) -> None:
-    """Add the size of the endurance test."""
-    quick(parser)
-    parser.add_argument("--steps", type=int, default=STEPS, help="steps of all arms of the endurance test")
-    parser.add_argument("--arms", type=int, default=ARMS, help="arms of the endurance test")
 
 
 def speeds(small: bool) -> Iterator[benchmark.BenchmarkRow]:
@@ -48,6 +41,10 @@ RUNNER = Study(
     measure=lambda options: (speeds(options.quick), endurance(options)),
     pages={"benchmark.md": page},
     report=report,
-    own_arguments=arguments,
+    options=QUICK
+    | {
+        "--steps": {"type": int, "default": 10_000_000, "help": "steps of the endurance test (default: %(default)s)"},
+        "--arms": {"type": int, "default": 256, "help": "arms of the endurance test (default: %(default)s)"},
+    },
     comment=lambda _: computer_text(PEERS),
 )

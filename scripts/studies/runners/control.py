@@ -1,19 +1,12 @@
 """Controllers of arms with uncertain parameters, and faults under which they fail."""
 
-from argparse import ArgumentParser, Namespace
+from argparse import Namespace
 
 from studies.control.cases import CASES, ControlRow, run_case
 from studies.control.page import page
 from studies.files import read_rows
 from studies.results import Results
 from studies.study import Study, Table
-
-
-def arguments(parser: ArgumentParser) -> None:
-    """Add the selection of cases and episodes."""
-    parser.add_argument("--episodes", type=int, default=100, help="episodes per case")
-    parser.add_argument("--seed", type=int, default=9000, help="seed of the first episode")
-    parser.add_argument("--only", default="", help="prefix of the names of the cases to run; others keep their rows")
 
 
 def measure(options: Namespace) -> list[list[ControlRow]]:
@@ -30,5 +23,9 @@ RUNNER = Study(
     tables=(Table("control", ControlRow),),
     measure=measure,
     pages={"control.md": lambda rows, _: page(rows, Results())},
-    own_arguments=arguments,
+    options={
+        "--episodes": {"type": int, "default": 100, "help": "episodes per case (default: %(default)s)"},
+        "--seed": {"type": int, "default": 9000, "help": "seed of the first episode (default: %(default)s)"},
+        "--only": {"default": "", "help": "prefix of the names of the cases to run; others keep their rows"},
+    },
 )

@@ -1,6 +1,6 @@
 """Real-time loops, their faults and a round trip; as root, for real-time priority."""
 
-from argparse import ArgumentParser, Namespace
+from argparse import Namespace
 from collections.abc import Iterator
 from typing import Any
 
@@ -22,12 +22,6 @@ from studies.drive.page import page
 from studies.study import Study, Table
 
 
-def arguments(parser: ArgumentParser) -> None:
-    """Add the numbers of runs."""
-    parser.add_argument("--episodes", type=int, default=5, metavar="N", help="with priority (default: %(default)s)")
-    parser.add_argument("--runs", type=int, default=100, metavar="N", help="undisturbed runs (default: %(default)s)")
-
-
 def measure(options: Namespace) -> tuple[Iterator[Any], ...]:
     """Return the rows of loops, faults, undisturbed runs and fits."""
     given = conditions(options.episodes)
@@ -44,5 +38,8 @@ RUNNER = Study(
             Table("drive_undisturbed", UndisturbedRow, 4), Table("drive_fits", RoundTripRow, 4)),
     measure=measure,
     pages={"drive.md": page},
-    own_arguments=arguments,
+    options={
+        "--episodes": {"type": int, "default": 5, "help": "episodes with priority (default: %(default)s)"},
+        "--runs": {"type": int, "default": 100, "help": "undisturbed runs (default: %(default)s)"},
+    },
 )  # fmt: skip

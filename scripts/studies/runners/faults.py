@@ -1,6 +1,6 @@
 """Fault tolerance of training runs: kills, interrupts, a full disk, and two runs in one folder."""
 
-from argparse import ArgumentParser, Namespace
+from argparse import Namespace
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -8,12 +8,6 @@ from tempfile import TemporaryDirectory
 from flexman_gym.common.computer import computer_text
 from studies.faults import Fault, disk_full, faults, page
 from studies.study import Study, Table
-
-
-def arguments(parser: ArgumentParser) -> None:
-    """Add the numbers of kills and the place of the test of a full disk."""
-    parser.add_argument("--kills", type=int, nargs=2, default=(30, 15), help="kills per algorithm: saving, any time")
-    parser.add_argument("--small", type=Path, help="empty file system of a few MB; default: no test of a full disk")
 
 
 def measure(options: Namespace) -> Iterator[Fault]:
@@ -34,6 +28,9 @@ RUNNER = Study(
     measure=lambda options: [measure(options)],
     pages={"faults.md": page},
     report=report,
-    own_arguments=arguments,
+    options={
+        "--kills": {"type": int, "nargs": 2, "default": (30, 15), "help": "kills per algorithm: saving, any time"},
+        "--small": {"type": Path, "help": "empty file system of a few MB; default: no test of a full disk"},
+    },
     comment=lambda _: computer_text(("torch",)),
 )

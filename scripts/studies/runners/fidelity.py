@@ -7,7 +7,7 @@ from flexman_gym.common.parallel import Workers, parallel_map
 from flexman_gym.envs.vector_env import compile_kernels
 from studies.fidelity.measure import SCENES, FidelityRow, rows_of
 from studies.fidelity.page import page
-from studies.study import Study, Table, workers
+from studies.study import KEPT, Study, Table
 
 
 def measure(file: str, options: Namespace) -> Iterator[FidelityRow]:
@@ -21,5 +21,6 @@ RUNNER = Study(
     tables=[Table(file.removesuffix(".csv"), FidelityRow, 9) for file in SCENES],
     measure=lambda options: [measure(file, options) for file in SCENES],
     pages={"fidelity.md": page},
-    own_arguments=workers,
+    options=KEPT,
+    parallel=True,
 )

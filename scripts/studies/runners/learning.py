@@ -1,7 +1,7 @@
 """Training and evaluation of the recipes, and ablations of the settings of one."""
 
-from argparse import ArgumentParser, Namespace
-from collections.abc import Iterator, Sequence
+from argparse import Namespace
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TypeVar
 
@@ -9,7 +9,6 @@ from flexman_gym.common.computer import computer_text
 from flexman_gym.common.parallel import Workers
 from studies.files import folder, read_rows
 from studies.learning.measure import (
-    LearningCase,
     LearningRow,
     Point,
     cases,
@@ -24,34 +23,21 @@ from studies.learning.page import page
 from studies.results import Results
 from studies.study import Study, Table
 
+KNOWN = {f"{case.kind}/{case.name}": case for case in cases()}  # cases with training
 ALONE = {"controllers": controllers, "tasks": tasks}  # cases without training
 ROWS, CURVES = "evidence/learning", "evidence/learning_curves"  # the page is in the folder above
 Row = TypeVar("Row", LearningRow, Point)
 
 
-def known() -> dict[str, LearningCase]:
-    """Return the cases with training by name."""
-    return {f"{case.kind}/{case.name}": case for case in cases()}
-
-
-def arguments(parser: ArgumentParser) -> None:
-    """Add the cases, the folder of the runs and the workers."""
-    names = [*known(), *ALONE]
-    parser.add_argument("--only", nargs="+", choices=names, default=names, metavar="CASE",
-                        help=f"cases to run, from {', '.join(names)}; others keep their rows")  # fmt: skip
-    parser.add_argument("--kept", type=folder, default="runs/learning", help="folder of the training runs")
-    Workers.arguments(parser)
-
-
 def rows(options: Namespace) -> Iterator[LearningRow]:
     """Yield the rows of the cases."""
     for name in options.only:
-        yield from ALONE[name]() if name in ALONE else runs(known()[name], options.kept, Workers.of(options))
+        yield from ALONE[name]() if name in ALONE else runs(KNOWN[name], options.kept, Workers.of(options))
 
 
 def curves(options: Namespace) -> Iterator[Point]:
     """Yield the learning curves of all seeds of the recipes."""
-    for case in (each for name, each in known().items() if name in options.only and each.kind == "recipe"):
+    for case in (each for name, each in KNOWN.items() if name in options.only and each.kind == "recipe"):
         for seed in range(case.seeds):
             yield from points(case.name, seed, run_folder(case, options.kept, seed))
 
@@ -75,16 +61,21 @@ def measure(options: Namespace) -> tuple[Iterator[LearningRow], Iterator[Point]]
             with_others(folder / f"{CURVES}.csv", curves(options), Point))  # fmt: skip
 
 
-def charts(folder: Path, _: Sequence[LearningRow], curves: Sequence[Point]) -> None:
-    """Draw the learning curves."""
-    pictures(curves, folder / "evidence")
-
-
 RUNNER = Study(
     tables=(Table(ROWS, LearningRow), Table(CURVES, Point)),
     measure=measure,
     pages={"results.md": lambda rows, _, files: page(rows, files["learning.csv"], Results())},
-    charts=charts,
-    own_arguments=arguments,
+    charts=lambda folder, _, curves: pictures(curves, folder / "evidence"),
+    options={
+        "--only": {
+            "nargs": "+",
+            "choices": [*KNOWN, *ALONE],
+            "default": [*KNOWN, *ALONE],
+            "metavar": "CASE",
+            "help": f"cases to run, from {', '.join([*KNOWN, *ALONE])}; others keep their rows",
+        },
+        "--kept": {"type": folder, "default": "runs/learning", "help": "folder of the training runs"},
+    },
+    parallel=True,
     comment=lambda _: computer_text(("stable-baselines3", "torch")),
 )

@@ -1,18 +1,12 @@
 """Our model compared with a real two-link flexible arm."""
 
-from argparse import ArgumentParser, Namespace
+from argparse import Namespace
 from pathlib import Path
 
 from flexman_gym.common.computer import computer_text
 from studies.machine.measure import DATA, FitRow, stage_1, stages
 from studies.machine.page import draw, page
 from studies.study import Study, Table
-
-
-def arguments(parser: ArgumentParser) -> None:
-    """Add the measurements."""
-    parser.add_argument("--data", type=Path, default=DATA, help="folder of the single-stage runs and of two_stages.csv")
-    parser.add_argument("--stages", type=Path, help="record of both stages; default: two_stages.csv of the data")
 
 
 def measure(options: Namespace) -> list[list[FitRow]]:
@@ -26,6 +20,9 @@ RUNNER = Study(
     tables=(Table("machine", FitRow),),
     measure=measure,
     pages={"machine.md": page},
-    own_arguments=arguments,
+    options={
+        "--data": {"type": Path, "default": DATA, "help": "folder of the single-stage runs and of two_stages.csv"},
+        "--stages": {"type": Path, "help": "record of both stages; default: two_stages.csv of the data"},
+    },
     comment=lambda _: computer_text(("mujoco",)),
 )

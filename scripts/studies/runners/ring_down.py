@@ -1,14 +1,13 @@
 """Errors of integration methods on released vibrations."""
 
 from argparse import Namespace
-from collections.abc import Iterator, Sequence
-from pathlib import Path
+from collections.abc import Iterator
 
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
 from studies.ringdown.measure import RingDownRow, rows
 from studies.ringdown.page import TITLES, draw, page
-from studies.study import Study, Table, quick
+from studies.study import QUICK, Study, Table
 
 ARMS, FEW, THEIRS = 128, 12, 6  # arms per case: batched methods, other methods, MuJoCo
 
@@ -32,15 +31,10 @@ def default() -> tuple[str, float]:
     return str(chosen.method), chosen.step
 
 
-def charts(folder: Path, rows: Sequence[RingDownRow]) -> None:
-    """Draw the errors of all methods."""
-    draw(rows, folder, default())
-
-
 RUNNER = Study(
     tables=(Table("ring_down", RingDownRow),),
     measure=lambda options: [measure(options)],
     pages={"ring_down.md": lambda rows, files: page(rows, default(), files)},
-    charts=charts,
-    own_arguments=quick,
+    charts=lambda folder, rows: draw(rows, folder, default()),
+    options=QUICK,
 )

@@ -10,7 +10,7 @@ from studies.safety.learning import LearningRow, learning_rows
 from studies.safety.measure import CELLS, SafetyRow, row
 from studies.safety.page import cells, page
 from studies.safety.worst_case import WorstRow, worst_rows
-from studies.study import Study, Table, kept
+from studies.study import KEPT, Study, Table
 
 PAGE = ROOT / "docs" / "safety.md"  # has a table of the rows
 
@@ -31,5 +31,5 @@ RUNNER = Study(
         "safety.md": lambda rows, learned, _, files: page(rows, learned, files),
         str(PAGE): lambda rows, *_: replaced_part(PAGE.read_text(encoding="utf-8"), "cells", cells(rows)),
     },
-    own_arguments=lambda parser: kept(parser, "out/safety"),
+    options={"--kept": KEPT["--kept"] | {"default": "out/safety"}},
 )

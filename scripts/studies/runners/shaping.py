@@ -1,16 +1,10 @@
 """Shaped motions of simulated arms under servos."""
 
-from argparse import ArgumentParser
 from collections.abc import Sequence
 
 from studies.machine.measure import DATA
 from studies.shaping.measure import ShapingRow, real_frequencies, simulate
 from studies.study import Study, Table
-
-
-def arguments(parser: ArgumentParser) -> None:
-    """Add the number of arms."""
-    parser.add_argument("--arms", type=int, default=30, help="number of random arms (default: %(default)s)")
 
 
 def report(rows: Sequence[ShapingRow]) -> None:
@@ -28,5 +22,5 @@ RUNNER = Study(
     tables=(Table("shaping", ShapingRow),),
     measure=lambda options: [map(simulate, range(options.arms))],
     report=report,
-    own_arguments=arguments,
+    options={"--arms": {"type": int, "default": 30, "help": "number of random arms (default: %(default)s)"}},
 )

@@ -1,20 +1,11 @@
 """Stability limits and numerical damping of all methods."""
 
-from argparse import ArgumentParser
-
 from flexman_gym.common.parallel import Workers
 from studies.stability.charts import draw
 from studies.stability.measure import StabilityRow
 from studies.stability.page import page, summary
 from studies.stability.rows import all_rows
-from studies.study import Study, Table, quick, workers
-
-
-def arguments(parser: ArgumentParser) -> None:
-    """Add the small grid and the workers."""
-    quick(parser)
-    workers(parser)
-
+from studies.study import KEPT, QUICK, Study, Table
 
 RUNNER = Study(
     tables=(Table("stability", StabilityRow, 9),),
@@ -22,5 +13,6 @@ RUNNER = Study(
     pages={"stability.md": page},
     charts=lambda folder, rows: draw(rows, folder),
     report=lambda rows: print(summary(rows)),
-    own_arguments=arguments,
+    options=QUICK | KEPT,
+    parallel=True,
 )

@@ -1,18 +1,12 @@
 """Arms read from URDF files, compared with Pinocchio; needs the packages pin and example-robot-data."""
 
 import sys
-from argparse import ArgumentParser, Namespace
+from argparse import Namespace
 from functools import cache
 
 from flexman_gym.common.computer import computer_text
 from studies.study import Study, Table
 from studies.urdf.measure import UrdfRow, measured
-
-
-def arguments(parser: ArgumentParser) -> None:
-    """Add the interpreter."""
-    parser.add_argument("--python", default=sys.executable, help="interpreter with pin and example-robot-data")
-
 
 known = cache(measured)
 
@@ -25,6 +19,6 @@ def comment(options: Namespace) -> str:
 RUNNER = Study(
     tables=(Table("urdf", UrdfRow, 2),),
     measure=lambda options: [known(options.python)[0]],
-    own_arguments=arguments,
+    options={"--python": {"default": sys.executable, "help": "interpreter with pin and example-robot-data"}},
     comment=comment,
 )

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 
 from flexman_gym.toolbox.verification.papers import paper_tables
 from flexman_gym.toolbox.verification.table import VerificationRow, VerificationTable
-from studies.study import Study, Table, quick
+from studies.study import QUICK, Study, Table
 from studies.verification.motions import REFERENCE, rows
 from studies.verification.page import page
 from studies.verification.papers import page as page_of_papers
@@ -38,5 +38,5 @@ RUNNER = Study(
         "papers.md": lambda _, printed, computed, __: page_of_papers(printed, computed),
     },
     report=report,
-    own_arguments=quick,
+    options=QUICK,
 )
