@@ -15,8 +15,9 @@ from flexman_gym.common.snapshot import set_state
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.vector_env import FlexManVectorEnv
-from flexman_gym.evaluation.agents import check_settings, find_agent
+from flexman_gym.evaluation.agents import find_agent
 from flexman_gym.evaluation.policy_files import FOLDER, METADATA, read_policy
+from flexman_gym.evaluation.trained_agents import check_settings
 from flexman_gym.toolbox.league.certificate_file import CERTIFICATE, read_certificate
 from flexman_gym.toolbox.league.rows import CELLS, ROWS, LeagueRows
 

@@ -35,8 +35,8 @@ def add_options(parser: argparse.ArgumentParser, *names: str, **changes: dict[st
     """
     from flexman_gym.envs.config.configuration import SET_HELP
     from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
-    from flexman_gym.evaluation.agents import AGENTS
     from flexman_gym.evaluation.rollouts import TEST_SEEDS
+    from flexman_gym.evaluation.trained_agents import AGENTS
 
     ids = ", ".join(sorted(NAMED_ENVIRONMENTS))
     environment = f"environment: a file, an id with a condition such as FlexRRR-v0/delay, or {ids}"

@@ -65,7 +65,7 @@ def _run(options: argparse.Namespace) -> int:
     """Run the missing episodes of the league and write its page; return the exit status."""
     from flexman_gym.common.computer import computer_text
     from flexman_gym.common.parallel import Workers
-    from flexman_gym.evaluation.agents import AGENTS
+    from flexman_gym.evaluation.trained_agents import AGENTS
     from flexman_gym.toolbox.league.details import league_details
     from flexman_gym.toolbox.league.page import PAGE, write_page
     from flexman_gym.toolbox.league.rows import LeagueRows, run_league

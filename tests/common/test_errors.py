@@ -13,8 +13,9 @@ from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.registration import CONDITIONS
-from flexman_gym.evaluation.agents import AGENTS, find_agent
+from flexman_gym.evaluation.agents import find_agent
 from flexman_gym.evaluation.metrics import METRICS
+from flexman_gym.evaluation.trained_agents import AGENTS
 from flexman_gym.scene.serialization import ARMS
 from flexman_gym.simulation.methods import METHODS
 

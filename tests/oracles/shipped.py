@@ -15,8 +15,9 @@ import numpy as np
 from flexman_gym.agent.agent import history_length
 from flexman_gym.agent.network import Network
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.evaluation.agents import find_agent, observation_layout
+from flexman_gym.evaluation.agents import find_agent
 from flexman_gym.evaluation.policy_files import ARRAYS, CHECK_ROWS, METADATA, write_policy
+from flexman_gym.evaluation.trained_agents import observation_layout
 
 DESCRIBED = Configuration.from_plain({
     "id": "FlexPlanar-v0", "base": "pd", "action_repeat": 5, "sensors": ["full", "fine"], "horizon": 1.0,

@@ -15,10 +15,11 @@ from flexman_gym.common.files import existing_file, write_file
 from flexman_gym.common.run_folder import BEST, NEWEST, read_npz, read_settings
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation.agent_info import training_seconds
-from flexman_gym.evaluation.agents import AgentSpec, check_settings, find_agent, observation_layout, split_interface
+from flexman_gym.evaluation.agents import AgentSpec, find_agent, split_interface
 from flexman_gym.evaluation.metrics import evaluate
 from flexman_gym.evaluation.policy_files import CHECK_ROWS, write_policy
 from flexman_gym.evaluation.rollouts import SELECTION_SEEDS, TEST_SEEDS, rollout
+from flexman_gym.evaluation.trained_agents import check_settings, observation_layout
 
 DEFAULT_LICENCE = "MIT"
 CHECK_SEEDS = SELECTION_SEEDS[:16]  # seeds of the episodes whose observations are stored as a check of the network
