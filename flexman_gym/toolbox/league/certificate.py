@@ -79,7 +79,7 @@ def certify(
     """
     path = policy_folder(name)
     if path is None:
-        raise value_error("agent", name, "an exported policy, by its name or folder")
+        raise value_error("agent", name, "an exported policy, by its name or folder (flexman export policy)")
     check_output(path / CERTIFICATE)
     about, environment = read_policy(path).metadata, _environment_name(name)
     task = find_scenario(environment).environment.task
