@@ -205,11 +205,14 @@ def _changes_beyond_training(environment: Configuration, trained: Configuration)
     """Return changes of payload and stiffness beyond the ranges of the training, such as "payload=20:25".
 
     A parameter that the training randomised gets the range next to its range in the training, any other parameter the
-    range of its condition.
+    range of its condition for the arm, if it has the springs or flexible links of the condition.
     """
     trained_ranges, result = trained.randomised_ranges, []
     for condition in ("payload", "stiffness") if NAMED_ENVIRONMENTS[environment.id].conditions else ():
-        spans = Configuration(environment.id, {"condition": condition}).randomised_ranges
+        settings = {"arm": environment.arm, "condition": condition}
+        spans = Configuration(environment.id, settings).randomised_ranges
+        if not spans:
+            continue
         ranges = [trained_ranges[name] for name in spans if name in trained_ranges]
         low, high = next(iter(spans.values()))
         if ranges:

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 
 from flexman_gym.common.checks import one_of
 from flexman_gym.common.errors import value_error
+from flexman_gym.envs.config.conditions import missing_ranges
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.named_environments import DEFAULT_ID, NAMED_ENVIRONMENTS
 from flexman_gym.envs.registration import NOMINAL
@@ -59,6 +60,7 @@ LAB_SCENARIO = f"{DEFAULT_ID}/unknown-lab"  # unknown arm with the sensors of a 
 PLANT_SCENARIOS = [f"{each}@{plant}" for each in (DEFAULT_ID, LAB_SCENARIO) for plant in PLANTS if plant != "usual"]
 GIVEN_NOISE = 0.001  # fraction of the range of a sensor; noise for which controllers are designed in a noise sweep
 NOISY = {"randomisation": {"sensor_noise": [GIVEN_NOISE, GIVEN_NOISE]}}  # background of sweeps of sensor errors
+STIFFNESS_FACTORS = ("joint_stiffness_factor", "link_stiffness_factor")
 GIVEN = "+given"  # suffix of a scenario whose controllers are designed for the changed environment
 
 
@@ -97,6 +99,14 @@ def _range_settings(*names: str) -> Callable[[Configuration, str], dict[str, Any
     return settings
 
 
+def _stiffness_settings(environment: Configuration, value: str) -> dict[str, Any]:
+    """Return the ranges of the stiffness of joints and links, as far as the arm has springs or flexible links."""
+    names = [name for name in STIFFNESS_FACTORS if name not in missing_ranges(environment.arm)]
+    if not names:
+        raise value_error("arm", "one of rigid joints and links", "one with a spring or a flexible link")
+    return _range_settings(*names)(environment, value)
+
+
 def _friction_settings(environment: Configuration, value: str) -> dict[str, Any]:
     """Return the arm with a multiple of the motor friction in the condition "friction" of its named environment."""
     frictional = Configuration(environment.id, {"condition": "friction"}).to_plain()["arm"]
@@ -121,7 +131,7 @@ CHANGES = {
     ),
     "stiffness": _ParameterChange(
         "stiffness of joints and links relative to the nominal",
-        _range_settings("joint_stiffness_factor", "link_stiffness_factor"),
+        _stiffness_settings,
         (0.5, 0.7, 0.85, 1.0, 1.15, 1.3, 1.5),
         "stiffness",
     ),

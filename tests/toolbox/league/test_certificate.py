@@ -2,6 +2,7 @@
 
 import csv
 import json
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -20,7 +21,7 @@ from flexman_gym.toolbox.league import certificate, certificate_file, rows
 from flexman_gym.toolbox.league.certificate import METRIC_NAMES, certify
 from flexman_gym.toolbox.league.certificate_file import CERTIFICATE, read_certificate
 from flexman_gym.toolbox.league.rows import VALUES, EpisodeBlock, EpisodeRow
-from flexman_gym.toolbox.league.scenarios import PLANTS, find_scenario
+from flexman_gym.toolbox.league.scenarios import CHANGES, PLANTS, find_scenario
 
 from oracles.assertions import refusal
 from oracles.shipped import DESCRIBED, made_up, write_still
@@ -217,6 +218,27 @@ def test_friction_is_that_of_the_named_arm_and_no_other_arm_is_run_with_it(tmp_p
     write_still(tmp_path / "still")
     assert [any("/friction=" in each for each in certificate._certificate_scenarios(str(tmp_path / name)))
             for name in ("still", "own")] == [True, False]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("flexible", "stiffness", "stiffnesses"),
+    [(True, None, ["stiffness=0.7:1.3"]), (False, 900.0, ["stiffness=0.7:1.3"]), (False, None, [])],
+)
+def test_ranges_beyond_the_training_are_those_of_the_arm(flexible, stiffness, stiffnesses):
+    """An arm is run with 0 to 2 times its own payload, and with the stiffness of what bends."""
+    link = fm.Link.tube(0.5, 0.03, 0.002, material="aluminium")
+    link = link if flexible else replace(link, flexible=False)
+    joint = fm.Joint((0.0, 0.0, 1.0), torque_limit=5.0, stiffness=stiffness, rotor_inertia=0.02)
+    arm = fm.Arm([link, link], [joint, joint], fm.Payload(0.3), gravity=(0.0, 0.0, 0.0))
+    own = Configuration("FlexRRR-v0", {"arm": arm})
+    changes = certificate._changes_beyond_training(own, own)
+    assert changes == ["payload=0:0.6", *stiffnesses]
+    assert CHANGES["payload"].settings(own, "0:0.6")["randomisation"]["payload_mass"] == [0, 0.6]
+    names = {"joint_stiffness_factor"} if stiffness else {"link_stiffness_factor"} if flexible else set()
+    if names:
+        assert CHANGES["stiffness"].settings(own, "0.7:1.3")["randomisation"].keys() == names
+    else:
+        assert "one with a spring or a flexible link" in refusal(CHANGES["stiffness"].settings, own, "0.7:1.3")
 
 
 @pytest.mark.parametrize(("end", "delay"), [("+given", (3, 3)), ("", (1, 1))])
