@@ -27,7 +27,7 @@ from flexman_gym.common.run_folder import NEWEST, write_npz
 from flexman_gym.envs.config.base_and_mode import make_base_and_mode
 from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.envs.config.plant import make_plant
-from flexman_gym.evaluation.agents import AgentSpec, split_interface
+from flexman_gym.evaluation.agent_spec import AgentSpec, split_interface
 from flexman_gym.evaluation.rollouts import Rollout, rollout, training_seed
 from flexman_gym.evaluation.trained_agents import observation_layout
 

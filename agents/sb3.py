@@ -25,7 +25,7 @@ from flexman_gym.common.checks import one_of
 from flexman_gym.common.errors import value_error
 from flexman_gym.common.files import existing_file
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.evaluation.agents import AgentSpec
+from flexman_gym.evaluation.agent_spec import AgentSpec
 from flexman_gym.evaluation.rollouts import training_seed
 
 ACTIVATION_LAYERS = {"tanh": torch.nn.Tanh, "relu": torch.nn.ReLU}  # name in settings.ACTIVATIONS -> layer

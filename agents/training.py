@@ -45,7 +45,7 @@ from flexman_gym.common.run_folder import (
     write_npz,
 )
 from flexman_gym.common.snapshot import get_state, set_state
-from flexman_gym.evaluation.agents import AgentSpec
+from flexman_gym.evaluation.agent_spec import AgentSpec
 from flexman_gym.evaluation.trained_agents import check_settings
 
 # Names of attributes of Stable-Baselines3 models, wrappers and buffers that form the state of a training.

@@ -10,7 +10,7 @@ from flexman_gym.common.files import check_output
 
 if TYPE_CHECKING:
     from flexman_gym.envs.config.configuration import Configuration
-    from flexman_gym.evaluation.agents import AgentSpec
+    from flexman_gym.evaluation.agent_spec import AgentSpec
 
 
 class CommandLine(NamedTuple):

@@ -18,7 +18,8 @@ from flexman_gym.common.errors import value_error
 from flexman_gym.common.progress import Progress
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.episodes import Episodes
-from flexman_gym.evaluation.agents import AgentSpec, find_agent, split_interface
+from flexman_gym.evaluation.agent_spec import AgentSpec, split_interface
+from flexman_gym.evaluation.agents import find_agent
 from flexman_gym.metrics import BAND, damping_ratio
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.episode import Episode

@@ -21,7 +21,7 @@ from flexman_gym.common.run_folder import (
     read_settings,
 )
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.evaluation.agents import BASELINES, AgentSpec, split_interface
+from flexman_gym.evaluation.agent_spec import BASELINES, AgentSpec, split_interface
 from flexman_gym.evaluation.policy_files import METADATA, POLICIES, policy_folder, read_policy
 
 AGENTS = (*BASELINES, *POLICIES)  # names of all agents: baselines and shipped policies

@@ -9,7 +9,7 @@ from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.infos import INFO_MODES, flat_info
 from flexman_gym.envs.vector_env import FlexManVectorEnv
-from flexman_gym.evaluation.agents import AgentSpec
+from flexman_gym.evaluation.agent_spec import AgentSpec
 from flexman_gym.kernels import layout
 
 from oracles.assertions import refusal

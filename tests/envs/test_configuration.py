@@ -223,7 +223,8 @@ def test_a_setting_has_help_and_a_plain_form(name):
 def test_the_same_file_and_seed_give_the_same_episode_everywhere(tmp_path):
     """From gym.make, gym.make_vec and an evaluation, whose records are period by period."""
     pytest.importorskip("stable_baselines3")
-    from flexman_gym.evaluation.agents import AgentSpec, common_environment, find_agent
+    from flexman_gym.evaluation.agent_spec import AgentSpec
+    from flexman_gym.evaluation.agents import common_environment, find_agent
     from flexman_gym.evaluation.rollouts import rollout
 
     files.write_data(tmp_path / "own.yaml", OWN)

@@ -13,13 +13,8 @@ from flexman_gym.envs.config.base_and_mode import make_base_and_mode
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.envs.vector_env import FlexManVectorEnv
-from flexman_gym.evaluation.agents import (
-    BASELINES,
-    AgentSpec,
-    common_environment,
-    find_agent,
-    split_interface,
-)
+from flexman_gym.evaluation.agent_spec import BASELINES, AgentSpec, split_interface
+from flexman_gym.evaluation.agents import common_environment, find_agent
 from flexman_gym.evaluation.metrics import evaluate
 from flexman_gym.evaluation.policy_files import read_policy, write_policy
 from flexman_gym.evaluation.rollouts import rollout

@@ -7,7 +7,7 @@ import pytest
 import flexman_gym as fm
 from flexman_gym.agent.pd import PD
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.evaluation.agents import AgentSpec
+from flexman_gym.evaluation.agent_spec import AgentSpec
 from flexman_gym.evaluation.metrics import METRICS
 from flexman_gym.evaluation.rollouts import TEST_SEEDS, rollout
 from flexman_gym.metrics import BAND

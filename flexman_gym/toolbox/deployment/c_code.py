@@ -22,7 +22,8 @@ from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.envs.episodes import Episodes, goal_path
 from flexman_gym.envs.sensors import find_sensors
-from flexman_gym.evaluation.agents import AgentSpec, common_environment, find_agent
+from flexman_gym.evaluation.agent_spec import AgentSpec
+from flexman_gym.evaluation.agents import common_environment, find_agent
 from flexman_gym.evaluation.rollouts import TEST_SEEDS, RolloutLoop
 from flexman_gym.model.model import Model
 from flexman_gym.toolbox.controllers.range_check import (

@@ -10,7 +10,7 @@ from flexman_gym.agent.controller import Controller
 from flexman_gym.common.arrays import Array
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.episodes import Episodes
-from flexman_gym.evaluation.agents import AgentSpec
+from flexman_gym.evaluation.agent_spec import AgentSpec
 from flexman_gym.evaluation.rollouts import Rollout, rollout
 from flexman_gym.model.dynamics import damping_matrix
 from flexman_gym.model.model import Model

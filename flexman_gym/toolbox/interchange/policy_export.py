@@ -15,7 +15,8 @@ from flexman_gym.common.files import existing_file, write_file
 from flexman_gym.common.run_folder import BEST, NEWEST, read_npz, read_settings
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation.agent_info import training_seconds
-from flexman_gym.evaluation.agents import AgentSpec, find_agent, split_interface
+from flexman_gym.evaluation.agent_spec import AgentSpec, split_interface
+from flexman_gym.evaluation.agents import find_agent
 from flexman_gym.evaluation.metrics import evaluate
 from flexman_gym.evaluation.policy_files import CHECK_ROWS, write_policy
 from flexman_gym.evaluation.rollouts import SELECTION_SEEDS, TEST_SEEDS, rollout

@@ -22,7 +22,8 @@ from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.envs.registration import NOMINAL
 from flexman_gym.envs.tasks import plain_task
-from flexman_gym.evaluation.agents import INTERFACE, find_agent
+from flexman_gym.evaluation.agent_spec import INTERFACE
+from flexman_gym.evaluation.agents import find_agent
 from flexman_gym.evaluation.metrics import LIMIT_METRICS, METRICS, task_metrics
 from flexman_gym.evaluation.policy_files import policy_folder, read_policy
 from flexman_gym.evaluation.rollouts import TEST_SEEDS

@@ -10,7 +10,7 @@ from flexman_gym.envs.config.conditions import missing_ranges
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.named_environments import DEFAULT_ID, NAMED_ENVIRONMENTS
 from flexman_gym.envs.registration import NOMINAL
-from flexman_gym.evaluation.agents import INTERFACE
+from flexman_gym.evaluation.agent_spec import INTERFACE
 from flexman_gym.evaluation.metrics import task_metrics
 from flexman_gym.evaluation.policy_files import policy_folder, read_policy
 from flexman_gym.simulation.batch import Batch

@@ -36,7 +36,8 @@ from flexman_gym.envs.sensors.sensor import MeasuredView
 from flexman_gym.envs.tasks import Hold, Slew, Track
 from flexman_gym.envs.tasks.rewards import REWARDS
 from flexman_gym.envs.view import View
-from flexman_gym.evaluation.agents import AgentSpec, find_agent
+from flexman_gym.evaluation.agent_spec import AgentSpec
+from flexman_gym.evaluation.agents import find_agent
 from flexman_gym.evaluation.rollouts import TEST_SEEDS, Rollout, rollout
 from flexman_gym.kernels import layout
 from flexman_gym.scene.arm import Arm

@@ -18,7 +18,7 @@ from flexman_gym.agent.network import Network
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.plant import make_plant
 from flexman_gym.envs.sensors.sensor import Entry
-from flexman_gym.evaluation.agents import AgentSpec
+from flexman_gym.evaluation.agent_spec import AgentSpec
 from flexman_gym.model.statics import rigid_holding_torques
 from flexman_gym.toolbox.controllers.observers.kalman_filter import KalmanFilter
 from flexman_gym.toolbox.controllers.output_feedback import OutputFeedback

@@ -23,7 +23,8 @@ from flexman_gym.envs.episodes import Episodes
 from flexman_gym.envs.sensors import ModelState, find_sensors, measured_names
 from flexman_gym.envs.sensors.sensor import measurement_ranges
 from flexman_gym.envs.view import View
-from flexman_gym.evaluation.agents import AgentSpec, find_agent, split_interface
+from flexman_gym.evaluation.agent_spec import AgentSpec, split_interface
+from flexman_gym.evaluation.agents import find_agent
 from flexman_gym.evaluation.rollouts import TEST_SEEDS, RolloutLoop
 from flexman_gym.kernels import layout
 from flexman_gym.kernels.layout import LARGEST_STATE
