@@ -35,7 +35,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
         metavar="SCENARIO", help="environments with a condition or a change, such as FlexRRR-v0/delay=3+given "
         "(default: the usual ones)",
     )  # fmt: skip
-    parser.add_argument("--agent", metavar="NAME", help="write the certificate of a policy, by its name or folder")
+    parser.add_argument("--agent", metavar="NAME", help="certify an exported policy, by its name or folder")
     parser.add_argument(
         "--sweep", nargs="+", default=[], metavar="NAME", help=f"run sweeps of {', '.join(SWEEPS)} instead"
     )

@@ -42,7 +42,7 @@ def find_agent(agent: object) -> AgentSpec:
     if name.endswith(".zip"):
         allowed = "--trust, if you trust their author: they are pickles, which can run any code when they are read"
         raise ValueError(f"agent: the files of Stable-Baselines3 in {name} are not read; give {allowed}")
-    from flexman_gym.evaluation.trained_agents import load_agent
+    from flexman_gym.evaluation.trained_agents import load_agent  # controllers need no files of policies and runs
 
     return load_agent(name)
 

@@ -60,7 +60,6 @@ LAB_SCENARIO = f"{DEFAULT_ID}/unknown-lab"  # unknown arm with the sensors of a 
 PLANT_SCENARIOS = [f"{each}@{plant}" for each in (DEFAULT_ID, LAB_SCENARIO) for plant in PLANTS if plant != "usual"]
 GIVEN_NOISE = 0.001  # fraction of the range of a sensor; noise for which controllers are designed in a noise sweep
 NOISY = {"randomisation": {"sensor_noise": [GIVEN_NOISE, GIVEN_NOISE]}}  # background of sweeps of sensor errors
-STIFFNESS_FACTORS = ("joint_stiffness_factor", "link_stiffness_factor")
 GIVEN = "+given"  # suffix of a scenario whose controllers are designed for the changed environment
 
 
@@ -89,22 +88,20 @@ def _number(text: str) -> int | float:
 
 
 def _range_settings(*names: str) -> Callable[[Configuration, str], dict[str, Any]]:
-    """Return the function `settings` of a change of randomised parameters to "value" or "low:high"."""
+    """Return the function `settings` of a change of randomised parameters to "value" or "low:high".
+
+    Of several parameters, those of springs or flexible links that the arm does not have are left out.
+    """
 
     def settings(environment: Configuration, value: str) -> dict[str, Any]:
+        own = [name for name in names if name not in missing_ranges(environment.arm)]
+        if not own:
+            raise value_error("arm", "one of rigid joints and links", "one with a spring or a flexible link")
         low, colon, high = value.partition(":")
         span = [_number(low), _number(high if colon else low)]
-        return {"randomisation": {**environment.randomised_ranges, **{name: list(span) for name in names}}}
+        return {"randomisation": {**environment.randomised_ranges, **{name: list(span) for name in own}}}
 
     return settings
-
-
-def _stiffness_settings(environment: Configuration, value: str) -> dict[str, Any]:
-    """Return the ranges of the stiffness of joints and links, as far as the arm has springs or flexible links."""
-    names = [name for name in STIFFNESS_FACTORS if name not in missing_ranges(environment.arm)]
-    if not names:
-        raise value_error("arm", "one of rigid joints and links", "one with a spring or a flexible link")
-    return _range_settings(*names)(environment, value)
 
 
 def _friction_settings(environment: Configuration, value: str) -> dict[str, Any]:
@@ -131,7 +128,7 @@ CHANGES = {
     ),
     "stiffness": _ParameterChange(
         "stiffness of joints and links relative to the nominal",
-        _stiffness_settings,
+        _range_settings("joint_stiffness_factor", "link_stiffness_factor"),
         (0.5, 0.7, 0.85, 1.0, 1.15, 1.3, 1.5),
         "stiffness",
     ),

@@ -25,6 +25,7 @@ from studies.study import Study, Table
 
 KNOWN = {f"{case.kind}/{case.name}": case for case in cases()}  # cases with training
 ALONE = {"controllers": controllers, "tasks": tasks}  # cases without training
+NAMES = [*KNOWN, *ALONE]
 ROWS, CURVES = "evidence/learning", "evidence/learning_curves"  # the page is in the folder above
 Row = TypeVar("Row", LearningRow, Point)
 
@@ -69,10 +70,10 @@ RUNNER = Study(
     options={
         "--only": {
             "nargs": "+",
-            "choices": [*KNOWN, *ALONE],
-            "default": [*KNOWN, *ALONE],
+            "choices": NAMES,
+            "default": NAMES,
             "metavar": "CASE",
-            "help": f"cases to run, from {', '.join([*KNOWN, *ALONE])}; others keep their rows",
+            "help": f"cases to run, from {', '.join(NAMES)}; others keep their rows",
         },
         "--kept": {"type": folder, "default": "runs/learning", "help": "folder of the training runs"},
     },

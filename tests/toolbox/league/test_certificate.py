@@ -260,7 +260,8 @@ def test_a_controller_is_designed_for_the_delay_that_is_given_and_else_for_its_o
 
 
 def test_only_policies_of_tasks_in_which_something_settles(tmp_path):
-    assert refusal(certify, "pd").endswith("give an exported policy, by its name or folder (flexman export policy)")
+    allowed = "an exported policy, by its name or folder (flexman export policy)"
+    assert refusal(certify, "pd") == f"agent: 'pd' is not allowed; give {allowed}"
     path = Configuration.from_plain({"id": "FlexPlanar-Track-v0", "base": "pd", "sensors": "full", "horizon": 1.0})
     write_policy(tmp_path, *made_up(path))
     assert "a policy for a task with the metric settling_time" in refusal(certify, str(tmp_path))
