@@ -4,7 +4,7 @@ import json
 import os
 import platform
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, field, fields, replace
 from importlib.metadata import version
@@ -184,25 +184,27 @@ class Settings:
         with files.reading(folder / SETTINGS, NO_SETTINGS):
             return cls.from_dict({name: record[name] for name in (each.name for each in fields(cls))})
 
-    def for_arm(self, arm: object) -> Self:
+    def for_arm(self, arm: object, changes: Sequence[str] = ()) -> Self:
         """Return the settings for an arm of the user: times and payloads of the recipe scale with the arm.
 
         An action lasts a sixteenth of the median slew; time constants of the history and ranges of the payload are in
-        proportion to those of the named environment. Control period, horizon, limits and gains follow from the arm.
+        proportion to those of the named environment. Control period, horizon, limits, slew time and gains follow from
+        the arm.
 
         Args:
             arm: as the setting `arm` of an environment.
+            changes: changes "name=value" of settings of the environment, which take precedence.
         """
         named = self.environment
-        kept = named.without(("arm", "gains", "horizon", "control_period", "limits"))
-        own = kept.replace(arm=arm)
-        changes: dict[str, Any] = {"action_repeat": max(1, round(action_time(own) / own.control_period))}
+        kept = named.without(("arm", "gains", "horizon", "control_period", "limits", "slew_time"))
+        own = kept.replace(arm=arm).changed(changes)
+        scaled: dict[str, Any] = {"action_repeat": max(1, round(action_time(own) / own.control_period))}
         if isinstance(own.history, tuple):
             scale = action_time(own) / action_time(named)
-            changes["history"] = [float(f"{scale * each:.3g}") for each in own.history]
+            scaled["history"] = [float(f"{scale * each:.3g}") for each in own.history]
         if "payload_mass" in own.randomised_ranges:
-            changes["randomisation"] = own.randomised_ranges | {"payload_mass": _payload_range(named, own)}
-        return replace(self, environment=own.replace(**changes))
+            scaled["randomisation"] = own.randomised_ranges | {"payload_mass": _payload_range(named, own)}
+        return replace(self, environment=own.replace(**scaled).changed(changes))
 
     def check_run(self, folder: Path) -> None:
         """Raise ValueError if a folder, which may be missing, holds a run with different settings."""

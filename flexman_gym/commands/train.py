@@ -122,16 +122,16 @@ def _make_settings(options: argparse.Namespace) -> "Settings":
         settings = Settings(algo=options.algo, environment=settings.environment, seed=settings.seed)
     if teacher := getattr(options, "teacher", None):
         named["hyperparameters"] = {**settings.hyperparameters, "teacher": teacher}
+    of_recipe = settings.environment
     if options.env:
-        environment = Configuration.find(options.env, options.set)
-        if options.recipe:
-            _warn_of_missing_settings(settings.environment.given, environment.given, options.env)
-    else:
-        environment = settings.environment.changed(options.set)
+        settings = replace(settings, environment=Configuration.find(options.env))
     if arm := getattr(options, "arm", None):
-        settings = replace(settings, environment=environment).for_arm(arm)
-        environment = settings.environment
-    return replace(settings, environment=environment, **named)
+        settings = settings.for_arm(arm, options.set)
+    else:
+        settings = replace(settings, environment=settings.environment.changed(options.set))
+    if options.env and options.recipe:
+        _warn_of_missing_settings(of_recipe.given, settings.environment.given, options.env)
+    return replace(settings, **named)
 
 
 def _train_runs(options: argparse.Namespace) -> list[Path]:

@@ -60,7 +60,7 @@ class CompiledPeriod:
             "active": np.ones(1, dtype=bool), "readings": sensors.observations, "bound": sensors.bound,
             "observations": agent.observations, "nearness_offset": np.array([NEAR * view.reach]), "limits": limits,
             "violated": violated, "ages": ages, "reward": np.array([compiled.kind]), "reward_terms": terms,
-            "reward_parameters": compiled.parameters(view.reach),
+            "reward_parameters": compiled.parameters(view.reach, view.slew_time),
         }  # fmt: skip
         self._arrays = Period(**own, **view.period_arrays(), **batch.period_arrays())  # kept alive for the kernel
         self.arguments = batch.bind_period(motors[1], self._arrays) or ()

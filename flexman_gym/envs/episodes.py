@@ -99,7 +99,7 @@ class Episodes:
     state_fields = ("batch", "motors", "effects", "view", "measurements", "over", "truncated", "ages", "_failed")
 
     def __init__(self, configuration: Configuration, batch: Batch) -> None:
-        self.batch, self.task, self.view = batch, configuration.task, View(batch)
+        self.batch, self.task, self.view = batch, configuration.task, View(batch, configuration.slew_time)
         self._compute_reward_terms = make_reward_terms(configuration.task, configuration.reward)
         self._reward_terms: dict[str, Number] | None = None  # reward terms of the current state; None until needed
         self._current_view: View | None = None

@@ -18,6 +18,7 @@ from flexman_gym.model.model import Model
 from flexman_gym.model.statics import rest_state, rest_tips
 from flexman_gym.simulation.batch import Batch
 
+SLEW_TIME = 3.2  # s; slew time of the named environments, the median of the slews of FlexRRR-v0
 TIP_TOLERANCE = 1e-9  # fraction of the reach; accepted tip error of the inverse kinematics
 DAMPED_SINGULAR_VALUE = 1e-4  # fraction of the reach; damping factor of the damped least-squares inverse kinematics
 Number = Any  # array (b,), or a number for a single arm; supports arithmetic and the functions of NumPy
@@ -37,6 +38,7 @@ class View:
         has_gravity: True for an arm under gravity.
         gauge_radii: (n, 3) distances of the gauges of `root_strains` from the axis of the link, m.
         control_period: time between two commands, s.
+        slew_time: time of a usual slew, s; rewards relate velocities to it.
         state: (b, 2 d) generalised coordinates and their rates, in the order of `kernels.layout`.
         joint_angles: (b, n) angles of the link side of the joints, rad.
         joint_rates: (b, n) rates of the joint angles, rad/s.
@@ -83,12 +85,12 @@ class View:
         "failed",
     )
 
-    def __init__(self, batch: Batch) -> None:
+    def __init__(self, batch: Batch, slew_time: float = SLEW_TIME) -> None:
         model, constants, arms = batch.model, batch.model.constants, len(batch.rows)
         self._batch = batch
         self._one: View | None = None
         self._springs: tuple[Array, Array, Array] | None = None  # see `Batch.spring_constants`
-        self.n_joints, self.control_period = model.n_joints, batch.control_period
+        self.n_joints, self.control_period, self.slew_time = model.n_joints, batch.control_period, slew_time
         self.lengths, self.reach = constants.length, float(constants.length.sum())
         self.has_gravity = bool(constants.gravity.any())
         self.gauge_radii = gauge_radii(model)

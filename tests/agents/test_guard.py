@@ -86,6 +86,17 @@ def test_an_action_of_a_recipe_lasts_a_share_of_the_slews_of_the_arm():
     assert ACTIONS_PER_SLEW * action_time(own) > 5.0 * ACTIONS_PER_SLEW * action_time(recipe.environment) / 2.0
 
 
+def test_given_settings_of_a_recipe_for_an_arm_stay_and_the_others_follow_from_the_arm():
+    recipe = find_recipe("lab_student")
+    arm = recipe.environment.arm
+    weak = replace(arm, joints=[replace(each, torque_limit=0.01 * each.torque_limit) for each in arm.joints])
+    changes = ["horizon=3.0", "action_repeat=7", "history=[0.5, 2.0]", "randomisation.payload_mass=[0.0, 1.5]"]
+    own = recipe.for_arm(weak, changes).environment
+    assert (own.horizon, own.action_repeat, own.history) == (3.0, 7, (0.5, 2.0))
+    assert own.randomised_ranges == recipe.environment.randomised_ranges | {"payload_mass": [0.0, 1.5]}
+    assert own.derived.keys() == {"control_period", "limits", "slew_time"}
+
+
 def test_times_and_payloads_of_a_laboratory_recipe_scale_with_the_arm():
     recipe = find_recipe("lab_student")
     arm = recipe.environment.arm

@@ -80,7 +80,8 @@ def test_settings_of_an_arm_whose_times_are_longer_scale_with_them(scale):
 
 def test_derived_numbers_are_1_2_or_5_times_a_power_of_ten():
     settings = derived_settings(rod(stiffness=300.0)[0], [LIMIT], SPAN)
-    for value in (settings["control_period"], settings["horizon"], settings["limits"].rate, settings["limits"].twist):
+    limits = settings["limits"]
+    for value in (settings["control_period"], settings["horizon"], settings["slew_time"], limits.rate, limits.twist):
         digits = f"{value:.12e}".partition("e")[0].rstrip("0").rstrip(".")
         assert digits in ("1", "2", "5")
 
@@ -98,7 +99,7 @@ def test_named_environments_and_their_conditions_keep_their_settings(name):
 def test_given_settings_stay_and_the_others_follow_from_the_arm():
     arm, _ = rod(stiffness=2.0)
     found = Configuration("FlexOne-v0", {"arm": arm, "control_period": 0.03})
-    assert found.control_period == 0.03 and found.derived.keys() == {"horizon", "limits"}
+    assert found.control_period == 0.03 and found.derived.keys() == {"horizon", "limits", "slew_time"}
     assert Configuration("FlexOne-v0", {"arm": arm}).control_period != 0.03
 
 
@@ -109,12 +110,31 @@ def test_a_stored_configuration_has_the_derived_numbers(tmp_path):
     read = Configuration.load(tmp_path / "own.yaml")
     assert read == own and not read.derived
     assert (read.control_period, read.horizon, read.limits) == (own.control_period, own.horizon, own.limits)
+    assert read.slew_time == own.slew_time
+
+
+@pytest.mark.parametrize("torque_limit", [LIMIT, 1e-3])
+def test_the_horizon_is_four_of_the_longest_slews_and_at_least_5_s(torque_limit):
+    arm, _ = rod(torque_limit=torque_limit)
+    own = Configuration("FlexOne-v0", {"arm": arm})
+    longest = arm_facts(own.arm, own.torque_limit, own.slew_span).durations.max()
+    assert max(4.0 * longest, 5.0) <= own.horizon * (1.0 + 1e-6) <= 2.5 * max(4.0 * longest, 5.0)
 
 
 def test_settings_named_are_those_of_the_named_environment():
     named = Configuration("FlexOne-v0")
     own = Configuration("FlexOne-v0", {"arm": rod(stiffness=2.0)[0], "settings": "named"})
     assert (own.control_period, own.horizon, own.limits) == (named.control_period, named.horizon, named.limits)
+    assert own.slew_time == named.slew_time == 3.2
+
+
+def test_the_slew_time_is_the_nearest_round_number_to_the_median_slew():
+    arm, _ = rod(stiffness=300.0)
+    own = Configuration("FlexOne-v0", {"arm": arm})
+    ratio = own.slew_time / np.median(arm_facts(own.arm, own.torque_limit, own.slew_span).durations)
+    assert abs(np.log(ratio)) <= np.log(2.5) / 2.0
+    episodes = gym.make("FlexOne-v0", arm=arm).unwrapped.episodes
+    assert episodes.view.slew_time == own.slew_time
 
 
 def test_an_arm_in_place_of_that_of_a_condition_has_its_own_settings():

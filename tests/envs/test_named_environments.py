@@ -116,7 +116,7 @@ SETTINGS = {
     "settings": "named",
     "arm": fm.catalog.vertical_2r(), "task": fm.Slew(), "sensors": "fine", "limits": fm.Limits(rate=9.0),
     "history": 2, "gains": {"stiffness": (9.0, 3.0), "damping": (2.0, 1.0)}, "info_keys": ("motor_angles",),
-    "torque_limit": (9.0, 3.0), "control_period": 0.02, "horizon": 0.1, "base": "pd", "action_repeat": 3,
+    "torque_limit": (9.0, 3.0), "control_period": 0.02, "horizon": 0.1, "slew_time": 0.5, "base": "pd", "action_repeat": 3,
     "fidelity": "default", "actions": {"kind": "torque"}, "drive_bandwidth": 30.0, "reward": {"effort": 2.0},
     "tolerance": None, "elements": 1, "modes": 2, "method": "implicit_midpoint", "step": 0.01, "stiffening": True,
     "spinning_rotors": True, "rotary_inertia": False, "energy_alarm": 0.2, "randomisation": {"delay": (0, 2)},

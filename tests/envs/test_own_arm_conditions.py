@@ -59,4 +59,4 @@ def test_a_configuration_applies_them_and_given_settings_take_precedence():
     arm = named_like(0.3)
     found = Configuration(ID, {"condition": "unknown-lab", "arm": arm, "horizon": 3.0})
     assert found.randomised_ranges["payload_mass"] == pytest.approx([0.0, 0.6]) and found.horizon == 3.0
-    assert found.derived.keys() == {"control_period", "limits"} and "gains" not in found.given
+    assert found.derived.keys() == {"control_period", "limits", "slew_time"} and "gains" not in found.given

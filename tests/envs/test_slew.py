@@ -17,11 +17,11 @@ LENGTHS = st.floats(0.0, 100.0)
 ACTIONS = st.lists(st.floats(-1.0, 1.0), min_size=3, max_size=3)
 
 
-def terms(tip_error=0.0, tip_vibration=0.0, action=(0.0, 0.0, 0.0), failed=False, task=Slew(), reach=8.5):  # noqa: B008
-    """Terms of one step."""
+def terms(tip_error=0.0, tip_vibration=0.0, action=(0.0, 0.0, 0.0), failed=False, task=Slew(), scale=(8.5, 3.2)):  # noqa: B008
+    """Terms of one step of an arm of that reach (m) and slew time (s)."""
     effort = np.mean(np.square(action), axis=-1)
     seen = {"tip_error": tip_error, "tip_vibration": tip_vibration, "effort": effort, "failed": failed}
-    return task.reward_terms(SimpleNamespace(**seen, reach=reach))
+    return task.reward_terms(SimpleNamespace(**seen, reach=scale[0], slew_time=scale[1]))
 
 
 def worth(*arguments, **named):
@@ -96,15 +96,15 @@ def test_a_task_may_start_from_the_same_place_every_time():
 
 
 @QUICK
-@given(LENGTHS, LENGTHS, st.floats(0.1, 100.0))
-def test_an_arm_of_another_size_is_judged_by_parts_of_its_reach(tip_error, tip_vibration, size):
-    """Lengths and speeds that grow with the arm are worth the same."""
-    result = terms(size * tip_error, size * tip_vibration, reach=size * 8.5)
-    assert result == pytest.approx(terms(tip_error, tip_vibration), rel=1e-9)
+@given(LENGTHS, LENGTHS, st.floats(0.1, 100.0), st.floats(0.1, 10.0))
+def test_rewards_of_arms_of_any_size_and_pace_are_equal_in_units_of_reach_and_slew_time(error, vibration, size, pace):
+    result = terms(size * error, size / pace * vibration, scale=(size * 8.5, pace * 3.2))
+    assert result == pytest.approx(terms(error, vibration), rel=1e-9)
 
 
-def test_the_distance_looks_a_tenth_of_a_second_ahead():
-    """1 - ln(1 + (e^2 + (0.1 s v)^2) / n^2) / ln(1 + (f / n)^2), n = R / 425 and f = R / 1.7, as the class says."""
+@pytest.mark.parametrize("slew_time", [3.2, 0.2])
+def test_the_distance_adds_the_velocity_times_a_32nd_of_the_slew_time(slew_time):
+    """1 - ln(1 + (e^2 + (T v / 32)^2) / n^2) / ln(1 + (f / n)^2), n = R / 425 and f = R / 1.7, as the class says."""
     task, reach = Slew(reward="distance"), 3.4
     for error, velocity in (
         (0.0, (0.0, 0.0, 0.0)),
@@ -113,9 +113,10 @@ def test_the_distance_looks_a_tenth_of_a_second_ahead():
         (0.3, (0.0, 4.0, 3.0)),
     ):
         view = SimpleNamespace(
-            tip_error=np.array([error]), tip_velocity=np.array([velocity]), reach=reach, failed=np.array([False])
-        )
-        square = error**2 + (0.1 * np.linalg.norm(velocity)) ** 2
+            tip_error=np.array([error]), tip_velocity=np.array([velocity]), reach=reach, failed=np.array([False]),
+            slew_time=slew_time,
+        )  # fmt: skip
+        square = error**2 + (slew_time / 32 * np.linalg.norm(velocity)) ** 2
         expected = 1 - np.log(1 + square * (425 / reach) ** 2) / np.log(1 + (425 / 1.7) ** 2)
         assert task.reward_terms(view)["distance"] == pytest.approx(expected, abs=1e-12)
 
@@ -126,7 +127,7 @@ def test_exponential_closeness_has_the_terms_that_the_docstring_says():
     for reach in (8.5, 1.0):
         errors = np.array([0.0, 0.03, 0.15, 0.6, 50.0]) * reach / 8.5
         near = errors * 8.5 / reach
-        given = terms(errors, task=task, reach=reach)
+        given = terms(errors, task=task, scale=(reach, 3.2))
         for name, weight, length in (("far", 0.1, 0.6), ("near", 0.25, 0.15), ("at_goal", 0.65, 0.03)):
             assert given[name] == pytest.approx(weight * np.exp(-near / length))
     assert terms(task=task, failed=True)["failure"] == -10.0

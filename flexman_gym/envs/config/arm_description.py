@@ -96,7 +96,7 @@ def _fact_rows(configuration: Configuration, facts: ArmFacts) -> Iterator[tuple[
 def _setting_rows(configuration: Configuration, facts: ArmFacts) -> Iterator[tuple[str, str]]:
     """Yield names and values of the settings, and of the band in which the tip has settled."""
     own = " (follows from the arm)"
-    for name, unit in (("control_period", "s"), ("horizon", "s")):
+    for name, unit in (("control_period", "s"), ("horizon", "s"), ("slew_time", "s")):
         yield name, f"{getattr(configuration, name):g} {unit}{own * (name in configuration.derived)}"
     limits = configuration.limits
     values = f"rate {limits.rate:g} rad/s, twist {limits.twist:g} rad, tip speed {limits.tip_speed:g} m/s"

@@ -1,4 +1,4 @@
-"""Settings that follow from an arm: control period, horizon and limits, from its modes, rotors, motors and slews."""
+"""Settings that follow from an arm: times and limits, from its modes, rotors, motors and slews."""
 
 import json
 import math
@@ -24,7 +24,7 @@ PEAK_ACCELERATION, PEAK_RATE = 10.0 / 3.0**0.5, 1.875  # of a minimum-jerk motio
 TORQUE_SHARE, SPEED_SHARE = 0.95, 0.85  # fractions of the limits that a slew uses
 PERIODS_PER_VIBRATION, PERIODS_PER_SLEW, PERIODS_PER_ROTOR = 40, 25, 8  # control periods in each of these times
 SHORTEST_PERIOD, LONGEST_PERIOD = 0.002, 0.02  # s; range of a derived control period
-SLEWS_PER_HORIZON, SLEWS_PER_LONG_HORIZON, LONG_HORIZON = 4.0, 2.0, 40.0  # times the longest slew, and beyond 40 s
+SLEWS_PER_HORIZON = 4.0  # horizon / longest slew
 VIBRATIONS_PER_HORIZON, SHORTEST_HORIZON = 10.0, 5.0  # periods of the first mode; s
 LIMIT_FACTOR = 3.0  # limits of rates and twists / values of a slew at the torque limits
 
@@ -146,12 +146,12 @@ def motor_speeds(arm: Arm) -> list[float | None]:
 
 
 def derived_settings(arm: Arm, torque_limit: Sequence[float], span: tuple[float, float]) -> dict[str, Any]:
-    """Return control_period, horizon and limits of an arm, rounded to 1, 2 or 5 times a power of ten.
+    """Return control_period, horizon, limits and slew_time of an arm, rounded to 1, 2 or 5 times a power of ten.
 
     The control period is the longest, from 2 to 20 ms, with 40 periods in the first mode with motors held, 25 in the
-    median slew and 8 in the fastest vibration of a rotor on its spring. The horizon is four of the longest slews (two
-    where that is more than 40 s), and at least ten periods of the first mode and 5 s. Limits of rates and twists are
-    three times the largest values of slews at the torque limits.
+    median slew and 8 in the fastest vibration of a rotor on its spring. The horizon is four of the longest slews, and
+    at least ten periods of the first mode and 5 s. Limits of rates and twists are three times the largest values of
+    slews at the torque limits. The slew time is the median of the slews.
 
     Args:
         arm: as in `arm_facts`.
@@ -163,13 +163,12 @@ def derived_settings(arm: Arm, torque_limit: Sequence[float], span: tuple[float,
     """
     facts = arm_facts(arm, torque_limit, span)
     longest = SLEWS_PER_HORIZON * float(facts.durations.max())
-    if longest > LONG_HORIZON:
-        longest *= SLEWS_PER_LONG_HORIZON / SLEWS_PER_HORIZON
     horizon = max(longest, VIBRATIONS_PER_HORIZON * facts.first_period, SHORTEST_HORIZON)
     return {
         "control_period": max(SHORTEST_PERIOD, _round_down(min(LONGEST_PERIOD, wanted_period(facts)))),
         "horizon": _round_up(horizon),
         "limits": _derived_limits(arm, torque_limit, facts),
+        "slew_time": _round(float(np.median(facts.durations))),
     }
 
 
@@ -205,6 +204,11 @@ def _derived_limits(arm: Arm, torque_limit: Sequence[float], facts: ArmFacts) ->
         deflection_rate=_round_up(max(tip, bending)),
         tip_speed=_round_up(max(tip, bending)),
     )
+
+
+def _round(value: float) -> float:
+    """Return the nearest of 1, 2 and 5 times a power of ten to a value, by their ratio."""
+    return min((_round_up(value), _round_down(value)), key=lambda each: abs(math.log(each / value)))
 
 
 def _round_up(value: float) -> float:

@@ -31,7 +31,7 @@ from flexman_gym.scene.input_checks import warn_unusual_units
 from flexman_gym.scene.serialization import SUFFIXES, URDF, find_arm, to_plain
 
 NESTED_SETTINGS = ("arm", "task", "limits")  # settings with fields, such as arm.payload.mass
-DERIVED = ("control_period", "horizon", "limits")  # settings that follow from an arm of the user
+DERIVED = ("control_period", "horizon", "limits", "slew_time")  # settings that follow from an arm of the user
 MAX_PERIODS = 10**9  # control periods; longest episode
 HINTS = {foreign: hint for setting in SETTINGS.values() for foreign, hint in setting.foreign.items()}
 SET_HELP = f"environment setting: {', '.join(SETTINGS)}; arm.payload.mass=0.5 changes a part"
@@ -110,7 +110,7 @@ class Configuration(EnvironmentSettings):
         vars(self)["torque_limit"] = self._torque_limits()
 
     def _derive_settings(self) -> dict[str, Any]:
-        """Return the missing ones of control period, horizon and limits that follow from an arm of the user."""
+        """Return the missing settings that follow from an arm of the user."""
         missing = [name for name in DERIVED if self._given.get(name) is None]
         if not missing or not self.has_own_arm or vars(self)["settings"] == "named":
             return {}

@@ -10,6 +10,7 @@ from flexman_gym.common.errors import value_error
 from flexman_gym.envs.limits import Limits
 from flexman_gym.envs.registration import CONDITION_FOLDER, ENVIRONMENT_FOLDER, IDS, NOMINAL
 from flexman_gym.envs.tasks import Slew, Task, find_task, plain_task
+from flexman_gym.envs.view import SLEW_TIME
 from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.serialization import find_arm, to_plain
 
@@ -29,6 +30,7 @@ class _NamedEnvironment:
         limits: see `Configuration`.
         control_period: time between two commands to the motors, s.
         horizon: time after which an episode is truncated, s.
+        slew_time: see `Configuration`.
         longest_step: longest step of the default method, s; random torques then cause no energy alarm.
         conditions: name of the folder with the conditions of the environment; "" for an environment without conditions.
         actions: see `Configuration`.
@@ -43,6 +45,7 @@ class _NamedEnvironment:
     limits: Limits = field(default_factory=Limits)
     control_period: float = 0.02
     horizon: float = 10.0
+    slew_time: float = SLEW_TIME
     longest_step: float = 0.02 / 3.0
     conditions: str = ""
     actions: Any = "torque"

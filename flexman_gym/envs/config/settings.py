@@ -178,15 +178,19 @@ class EnvironmentSettings:
         "of the integrator"),
     )
     settings: str = _setting(
-        "Source of control period, horizon and limits that are not given, for an arm whose links or joints differ from "
-        "those of the named environment. 'arm': they follow from the modes, rotors, motors and slews of the arm, see "
-        "describe; 'named': those of the named environment.",
+        "Source of control period, horizon, limits and slew time that are not given, for an arm whose links or joints "
+        "differ from those of the named environment. 'arm': they follow from the modes, rotors, motors and slews of "
+        "the arm, see describe; 'named': those of the named environment.",
         partial(one_of, "settings", allowed=("arm", "named")), "arm",
     )
     horizon: float = _setting(
         "Time after which an episode is truncated.", partial(positive, "horizon", unit="s"), unit="s", named=True,
         foreign=dict.fromkeys(("max_steps", "max_episode_length"), "horizon, the time in s after which an episode is "
         "truncated"),
+    )
+    slew_time: float = _setting(
+        "Time of a usual slew, to which the rewards of the tasks relate velocities.",
+        partial(positive, "slew_time", unit="s"), unit="s", named=True,
     )
     base: Any = _setting(
         "Base controller, to whose torques the agent adds its own. It acts in every control period: a name in "

@@ -31,8 +31,9 @@ class Hold:
 
     Reward
         At most 1 per control period, the sum of these terms:
-            distance       1 - ln(1 + (e^2 + (0.1 s v)^2) / n^2) / ln(1 + (f / n)^2) with tip error e, speed v of
-                           the tip, n = R / 425 and f = R / 1.7 for a reach R (20 mm and 5 m for R = 8.5 m)
+            distance       1 - ln(1 + (e^2 + (T v / 32)^2) / n^2) / ln(1 + (f / n)^2) with tip error e, speed v of
+                           the tip, slew time T of the environment (3.2 s), n = R / 425 and f = R / 1.7 for a reach R
+                           (20 mm and 5 m for R = 8.5 m)
             failure        -failure_penalty if the arm exceeded a limit or its simulation diverged, else 0
 
     Start

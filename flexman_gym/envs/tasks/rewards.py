@@ -11,15 +11,15 @@ import numpy as np
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import mapping
 from flexman_gym.common.errors import short_repr
-from flexman_gym.envs.view import Number, View
+from flexman_gym.envs.view import SLEW_TIME, Number, View
 from flexman_gym.kernels import control_period as kernels
 
 NEAR, FAR = 1.0 / 425.0, 1.0 / 1.7  # fractions of the reach; n and f of `distance_reward`
-LOOK_AHEAD = 0.1  # s; weight of the velocity relative to the tip error in `distance_reward`
+LOOK_AHEAD = 1.0 / 32.0  # fraction of the slew time; weight of the velocity beside the tip error in `distance_reward`
 BELL_WIDTHS = (2.0 / 8.5, 0.4 / 8.5, 0.08 / 8.5)  # fractions of the reach; widths w of the reward "bells"
 # reward "exponential": term -> weight, and length l as a fraction of the reach
 EXPONENTIAL_TERMS = {"far": (0.1, 0.6 / 8.5), "near": (0.25, 0.15 / 8.5), "at_goal": (0.65, 0.03 / 8.5)}
-VIBRATION_SCALE = 0.3 / 8.5  # fraction of the reach per second; tip vibration at which its reward term is halved
+VIBRATION_SCALE = 0.3 / 8.5 * SLEW_TIME  # reaches per slew time; tip vibration at which its reward term is halved
 
 
 class _Reward(NamedTuple):
@@ -28,12 +28,13 @@ class _Reward(NamedTuple):
     Attributes:
         kind: kind of the reward in `kernels.control_period`.
         names: names of its terms.
-        parameters: function from the reach (m) to the parameters of `kernels.control_period.reward_terms`.
+        parameters: function from reach (m) and slew time (s) to the parameters of
+            `kernels.control_period.reward_terms`.
     """
 
     kind: int
     names: tuple[str, ...]
-    parameters: Callable[[float], Array]
+    parameters: Callable[[float, float], Array]
 
     def terms(self, view: View, velocity: Array | None = None) -> dict[str, Number]:
         """Return the terms of the reward, name -> (...), as numbers for a single arm.
@@ -51,7 +52,9 @@ class _Reward(NamedTuple):
         if velocity is not None:
             velocities = np.array(velocity, dtype=float, ndmin=2)
         out = np.empty((kernels.REWARD_TERMS, len(errors)))
-        kernels.reward_terms(self.kind, self.parameters(view.reach), errors, vibrations, efforts, velocities, out)
+        kernels.reward_terms(
+            self.kind, self.parameters(view.reach, view.slew_time), errors, vibrations, efforts, velocities, out
+        )
         return dict(zip(self.names, out if np.ndim(view.tip_error) else out[:, 0].tolist(), strict=False))
 
     def derivatives(self, view: View, velocity: Array, changes: Mapping[str, Array]) -> dict[str, Array]:
@@ -62,7 +65,7 @@ class _Reward(NamedTuple):
             velocity: (1, 3) as in `distance_reward`, m/s.
             changes: derivatives of "tip_error", "tip_vibration", "effort", (p,) each, and of "tip_velocity" (p, 3).
         """
-        p, error, change = self.parameters(view.reach), view.tip_error, changes["tip_error"]
+        p, error, change = self.parameters(view.reach, view.slew_time), view.tip_error, changes["tip_error"]
         terms: list[Array]
         if self.kind == kernels.DISTANCE:
             total = error**2 + p[2] ** 2 * (velocity**2).sum()
@@ -80,18 +83,18 @@ class _Reward(NamedTuple):
 
 
 @cache
-def _bell_parameters(reach: float) -> Array:
-    return np.array([*((part * reach) ** 2 for part in BELL_WIDTHS), (VIBRATION_SCALE * reach) ** 2])
+def _bell_parameters(reach: float, slew_time: float) -> Array:
+    return np.array([*((part * reach) ** 2 for part in BELL_WIDTHS), (VIBRATION_SCALE / slew_time * reach) ** 2])
 
 
 @cache
-def _distance_parameters(reach: float) -> Array:
+def _distance_parameters(reach: float, slew_time: float) -> Array:
     near, far = NEAR * reach, FAR * reach
-    return np.array([near**2, math.log1p((far / near) ** 2), LOOK_AHEAD])
+    return np.array([near**2, math.log1p((far / near) ** 2), LOOK_AHEAD * slew_time])
 
 
 @cache
-def _exponential_parameters(reach: float) -> Array:
+def _exponential_parameters(reach: float, slew_time: float) -> Array:
     weights, lengths = zip(*EXPONENTIAL_TERMS.values(), strict=True)
     return np.array([*weights, *(length * reach for length in lengths)])
 
@@ -107,10 +110,10 @@ REWARDS = {
 def distance_reward(view: View, velocity: Array) -> Number:
     """Return the distance reward, a logarithm of the tip error and a velocity.
 
-    The reward is 1 - ln(1 + (e^2 + (0.1 s v)^2) / n^2) / ln(1 + (f / n)^2) with the tip error e, the magnitude v of the
-    velocity, n = R / 425 and f = R / 1.7 for a reach R (20 mm and 5 m for R = 8.5 m). It is 1 at rest on the target, 0
-    at rest at the distance f, and negative for larger distances. It changes noticeably at errors of metres and of
-    millimetres.
+    The reward is 1 - ln(1 + (e^2 + (T v / 32)^2) / n^2) / ln(1 + (f / n)^2) with the tip error e, the magnitude v of
+    the velocity, the slew time T, n = R / 425 and f = R / 1.7 for a reach R (20 mm and 5 m for R = 8.5 m). It is 1 at
+    rest on the target, 0 at rest at the distance f, and negative for larger distances. It changes noticeably at errors
+    of metres and of millimetres.
 
     Args:
         view: view of the arms.

@@ -31,16 +31,17 @@ class Slew:
 
     Reward
         The reward of a control period is the sum of the following terms: from 0 to 1, minus a penalty after a failure.
-        R is the reach of the arm, e the tip error and v the speed of the tip; values in brackets are for R = 8.5 m.
+        R is the reach of the arm, T the slew time of the environment, e the tip error and v the speed of the tip;
+        values in brackets are for R = 8.5 m and T = 3.2 s.
             tip_error      0.7 times the mean of 1 / (1 + (e / w)^2) over three widths w, which are 0.24 R, 0.047 R and
                            0.0094 R (2, 0.4 and 0.08 m)
-            tip_vibration  0.2 / (1 + (tip vibration / (0.035 R / s))^2)  (0.3 m/s)
+            tip_vibration  0.2 / (1 + (tip vibration / (0.113 R / T))^2)  (0.3 m/s)
             effort         0.1 (1 - mean square of the commanded torques as fractions of their limits)
             failure        -failure_penalty if the arm exceeded a limit or its simulation diverged, else 0
         With reward="distance" one term replaces tip_error, tip_vibration and effort. It changes noticeably at errors of
         metres and of millimetres:
-            distance       1 - ln(1 + (e^2 + (0.1 s v)^2) / n^2) / ln(1 + (f / n)^2), n = R / 425 (20 mm), f = R / 1.7
-                           (5 m)
+            distance       1 - ln(1 + (e^2 + (T v / 32)^2) / n^2) / ln(1 + (f / n)^2), T / 32 (0.1 s), n = R / 425
+                           (20 mm), f = R / 1.7 (5 m)
         It is 1 at rest on the target, 0 at rest at the distance f, and negative for larger distances.
         With reward="exponential" three terms replace them, weights times exp(-e / l) for three lengths l. This reward
         suits policies for reference shaping, where the base controller stops the arm:

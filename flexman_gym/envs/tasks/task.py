@@ -26,8 +26,8 @@ class Task(Protocol):
     """Protocol of a task; a class with these members needs no base class.
 
     A task has no state: `draw` returns the parameters of an episode, and the environment stores them. The results for
-    an arm must not depend on other arms, to the last bit. Lengths should be fractions of `view.reach`, so that the task
-    suits arms of any size.
+    an arm must not depend on other arms, to the last bit. Lengths should be fractions of `view.reach`, and times
+    fractions of `view.slew_time`, so that the task suits arms of any size.
 
     Two further attributes are optional. `metrics` names the metrics in `evaluation.METRICS` reported for the task in
     addition to the general metrics; the default is the settling time and the final error. `disturbances` is a dict of
