@@ -303,9 +303,9 @@ def test_lost_samples_have_no_weight():
     observer = Estimator(plant)
     estimate = bench.follow(observer, pushes(random, 70, 8, 2))[-1]
     lost = np.array(lossy.lost).transpose(1, 0, 2)  # (b, T, sensors)
-    found = observer._lost[:, : lost.shape[1]][:, :, observer._instruments._firsts]
+    found = observer._history.lost[:, : lost.shape[1]][:, :, observer._instruments._firsts]
     assert not (found & ~lost).any()
-    moved = np.abs(np.diff(observer._readings[:, :71], axis=1)).max(axis=2) > 0.0
+    moved = np.abs(np.diff(observer._history.readings[:, :71], axis=1)).max(axis=2) > 0.0
     assert found[:, 10:].sum() >= 0.9 * lost[:, 10:].sum() > 100 and moved.any()
     assert not observer._filtering.any() and observer.estimates["misfit"].mean() == pytest.approx(1.0, abs=0.15)
     assert relative_errors(plant, estimate, parameters)["payload_mass"] < 0.02
@@ -321,7 +321,7 @@ def test_a_repeated_sample_of_an_arm_at_rest_is_not_lost():
     }
     observer = Estimator(plant)
     bench.follow(observer, np.zeros((30, 2, 2)))
-    assert not observer._lost.any()
+    assert not observer._history.lost.any()
     instruments = observer._instruments
     now, change = np.ones((1, len(instruments.ranges))), 5.0 * instruments.deviations[None]
     repeats = np.zeros(now.shape, dtype=np.int64)

@@ -189,4 +189,4 @@ def test_an_episode_is_simulated_again_in_time_units(unit, monkeypatch):
         observer.estimate(bench.readings(), bench.applied, ON)
     assert replayed == [unit * time for time in RESIMULATION_TIMES if time <= 30]
     assert updated == [age for age in range(5 * unit, 30 * unit + 1, 5 * unit) if age not in replayed]
-    assert noticed[0] == 25 * unit + 1 and len(observer._weights) == RESIMULATION_TIMES[-1] * unit + 1
+    assert noticed[0] == 25 * unit + 1 and len(observer._history) == RESIMULATION_TIMES[-1] * unit + 1

@@ -15,6 +15,7 @@ from flexman_gym.toolbox.controllers.observers.innovations import (
     ChangeDetector,
     InnovationGains,
 )
+from flexman_gym.toolbox.controllers.observers.measurement_history import MeasurementHistory
 from flexman_gym.toolbox.controllers.observers.observer import MAX_BIAS, Estimate, MeasurementModel, UncertainStates
 from flexman_gym.toolbox.controllers.observers.perturbed_models import (
     PerturbedModels,
@@ -77,11 +78,10 @@ class Estimator:
     """
 
     _arrays = (
-        "theta", "delays", "_origin", "_states", "_information", "_change", "_ages", "_readings",
-        "_torques", "_steps", "_perturbations_reduced", "_filtering", "_lost", "_previous", "_motion", "_repeats",
-        "_likely", "_error_sensitivity",
+        "theta", "delays", "_origin", "_states", "_information", "_change", "_ages", "_steps", "_perturbations_reduced",
+        "_filtering", "_likely", "_error_sensitivity",
     )  # fmt: skip
-    state_fields = (*_arrays, "_innovations", "_prediction", "_detector")
+    state_fields = (*_arrays, "_history", "_innovations", "_prediction", "_detector")
 
     def __init__(
         self,
@@ -116,28 +116,23 @@ class Estimator:
             np.concatenate([uncertain.low, -START_ANGLE_BOUND * starts, -2.0 * errors]),
             np.concatenate([uncertain.high, START_ANGLE_BOUND * starts, 2.0 * errors]),
         )
-        self._weights = np.tile(instruments.deviations**-2.0, (self._resimulated[-1] + 1, 1))
-        if self._encoders is not None:
-            self._weights[0, self._encoders] = 0.0  # the first readings define the start angles
+        # the first angles define the start, so that they have no weight
+        self._history = MeasurementHistory(instruments, plant, int(self._resimulated[-1]) + 1, self._encoders)
         self._allocate()
 
     def _allocate(self) -> None:
         """Create the arrays, for zero arms."""
         (m, size), p, models = self._models.matrix.shape, self._models.size, 1 + self._models.dynamic
-        n, late, rows = self._plant.model.n_joints, self._plant.delay[1], len(self._weights)
+        n, late = self._plant.model.n_joints, self._plant.delay[1]
         self.theta, self._change = np.zeros((0, p)), np.zeros((0, p))
         self._origin, self._states = np.zeros((0, size)), np.zeros((0, models, size))
         self.delays, self._ages = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
-        self._information, self._readings = np.zeros((0, p, p)), np.zeros((0, rows, m))
-        self._torques = np.zeros((0, late + rows, n))
+        self._information = np.zeros((0, p, p))
         self._given_angles, self._prediction = np.zeros((0, n)), DelayCompensation(self._plant)
         self._detector = ChangeDetector(m)
         # of the corrected states to biases and gain errors, which do not affect the simulated motion
         self._error_sensitivity = np.zeros((0, size, p - self._models.dynamic))
         self._likely = np.ones((0, 1 + late - self._plant.delay[0]), dtype=bool)  # delays that are not excluded
-        self._lost, self._repeats = np.zeros((0, rows, m), dtype=bool), np.zeros((0, m), dtype=np.int64)
-        self._previous = np.zeros((0, m))  # last measurements
-        self._motion = np.zeros((0, m))  # predicted changes of measurements since the last sample that was not lost
         self._steps, self._simulated_theta = np.zeros((0, models - 1)), np.zeros((0, p + models - 1))
         self._perturbations_reduced, self._filtering = np.zeros(0, dtype=bool), np.zeros(0, dtype=bool)
 
@@ -146,11 +141,13 @@ class Estimator:
         if count > len(self._ages):
             for name in (*self._arrays, "_given_angles", "_simulated_theta"):
                 setattr(self, name, pad_rows(getattr(self, name), count))
+            self._history.allocate(count)
             self._innovations.allocate(count)
         self._ages[arms], self._given_angles[arms], self._filtering[arms] = 0, episode.start, False
         self.theta[arms], self._change[arms] = self._prior.mean, 0.0
         self._information[arms] = self._prior.information
-        self._torques[arms], self._simulated_theta[arms] = 0.0, np.nan
+        self._simulated_theta[arms] = np.nan
+        self._history.reset(arms)
         self._detector.reset(arms, count)
         self._prediction.reset(arms, count)
 
@@ -163,10 +160,8 @@ class Estimator:
         if len(running):
             before = self._states[running, 0]
             self._advance(running, applied[running])
-            lost = self._find_lost(running, now[running], self._states[running, 0] - before)
-            stored = running[self._ages[running] < len(self._weights)]
-            self._readings[stored, self._ages[stored]] = now[stored]
-            self._lost[stored, self._ages[stored]] = lost[self._ages[running] < len(self._weights)]
+            motion = self._states[running, 0] - before
+            lost = self._history.store(running, self._ages[running], now[running], motion)
             resimulated = (
                 (self._ages[running, None] == self._resimulated).any(axis=1)  # np.isin takes ten times as long
                 & ~self._perturbations_reduced[running]
@@ -235,8 +230,8 @@ class Estimator:
         """Start the fits of arms (r,) with their first measurements (r, m)."""
         angles = self._given_angles[arms] if self._encoders is None else now[:, self._encoders]
         self._origin[arms] = rest_state(self._plant.model, angles)
-        self._readings[arms, 0] = self._previous[arms] = now
-        self._lost[arms, 0], self._repeats[arms], self._motion[arms], self._likely[arms] = False, 0, 0.0, True
+        self._history.begin(arms, now)
+        self._likely[arms] = True
         self.delays[arms] = (sum(self._plant.delay) + 1) // 2
         self._states[arms] = self._models.initial_states(self._origin[arms], self.theta[arms])
         self._steps[arms], self._perturbations_reduced[arms] = self._models.steps, False
@@ -247,7 +242,7 @@ class Estimator:
     def _answer_changes(self, arms: IntArray) -> None:
         """Repeat the estimation of arms (r,) whose measurements are not explained, or start it anew."""
         known = ~self._filtering[arms] & ~self._perturbations_reduced[arms]
-        known &= self._ages[arms] < len(self._weights)  # the start and all measurements since
+        known &= self._ages[arms] < len(self._history)  # the start and all measurements since
         if known.any():
             self._filter_history(arms[known])
         if not known.all():
@@ -255,7 +250,7 @@ class Estimator:
 
     def _filter_history(self, arms: IntArray) -> None:
         """Repeat the estimation of arms (r,) from the start of their episodes, with corrections by innovations."""
-        ages, past, late = self._ages[arms], self._prediction.past[arms], self._plant.delay[1]
+        ages, past, history = self._ages[arms], self._prediction.past[arms], self._history
         self.theta[arms] = self._prior.clip(self.theta[arms] + self._change[arms])
         self.theta[arms, self._models.dynamic :], self._change[arms] = 0.0, 0.0
         self._information[arms] = self._prior.information
@@ -266,13 +261,12 @@ class Estimator:
         for period in range(int(ages.max()) + 1):
             now = arms[ages >= period]
             if period:
-                recent = self._torques[now, period - 1 : period + late]
-                self._prediction.past[now] = recent[:, ::-1]
+                self._prediction.past[now] = history.recent_torques(now, period)
                 self._set_parameters(now)
                 self._simulate_period(now)
             self._ages[now] = period
-            unused = self._lost[now, period] | (self._weights[period] == 0.0)
-            self._update_fit(now, self._readings[now, period], unused)
+            unused = history.lost[now, period] | (history.weights[period] == 0.0)
+            self._update_fit(now, history.readings[now, period], unused)
         self._prediction.past[arms] = past
         self._detector.reset(arms, len(self._ages))
 
@@ -341,8 +335,7 @@ class Estimator:
         """Advance the models of arms (r,) by a period, after commanded torques (r, n), fractions of the limits."""
         self._set_parameters(arms)
         self._prediction.record(arms, actions)
-        past, early = self._prediction.past, arms[self._ages[arms] <= len(self._weights)]
-        self._torques[early, self._plant.delay[1] + self._ages[early] - 1] = past[early, 0]
+        self._history.store_torques(arms, self._ages[arms], self._prediction.past[arms, 0])
         self._simulate_period(arms)
 
     def _simulate_period(self, arms: IntArray) -> None:
@@ -353,22 +346,6 @@ class Estimator:
         self._states[arms] = ends.reshape(*rows.shape, -1)
         lost = arms[~(np.abs(self._states[arms]) < MAX_STATE).all(axis=(1, 2))]
         self._states[lost], self._detector.misfit[lost] = self._origin[lost][:, None], MAX_STATE
-
-    def _find_lost(self, arms: IntArray, now: Array, motion: Array) -> BoolArray:
-        """Return flags (r, m) of lost measurements.
-
-        Args:
-            arms: (r,) indices.
-            now: (r, m) measurements.
-            motion: (r, 2 d) changes of the estimated states in the previous period.
-
-        Returns:
-            Flags (r, m) of the measurements of lost samples.
-        """
-        change = self._motion[arms] + row_dots(self._instruments.matrix, motion[:, None])
-        lost, self._repeats[arms] = self._instruments.lost(now, self._previous[arms], change, self._repeats[arms])
-        self._motion[arms], self._previous[arms] = np.where(lost, change, 0.0), now
-        return lost
 
     def _update_fit(self, arms: IntArray, now: Array, lost: BoolArray) -> None:
         """Update the recursive least-squares fits of arms (r,) with measurements (r, m), without lost ones (r, m)."""
@@ -381,7 +358,7 @@ class Estimator:
             jacobian[filtered, :, errors] += self._instruments.matrix @ sensitivity
         error = now - self._models.read(self._states[arms, 0], self.theta[arms])
         error -= row_dots(jacobian, self._change[arms][:, None])
-        precision = np.repeat(self._weights[-1:], len(arms), axis=0)
+        precision = np.repeat(self._history.weights[-1:], len(arms), axis=0)
         if filtered.any():
             precision[filtered] = 1.0 / self._innovations.variances(arms[filtered])
         precision *= ~lost
@@ -417,7 +394,7 @@ class Estimator:
     def _apply_change(self, arms: IntArray) -> None:
         """Add the change of theta estimated since the last update to theta and to the states of arms (r,)."""
         if not self._relinearised:  # changed only for arms that are not simulated again
-            last = self._filtering[arms] | self._perturbations_reduced[arms] | (self._ages[arms] >= len(self._weights))
+            last = self._filtering[arms] | self._perturbations_reduced[arms] | (self._ages[arms] >= len(self._history))
             self._reduce_perturbations(arms[~last])
             arms = arms[last]
         before = self.theta[arms]
@@ -434,15 +411,15 @@ class Estimator:
         theta, simulation = self._fit_delays(arms, age)
         valid = np.isfinite(simulation.cost) & (np.abs(simulation.states) < MAX_STATE).all(axis=(1, 2))
         if not valid.all():  # arms with diverged simulations continue with the recursive fit
-            self._update_fit(arms[~valid], self._readings[arms[~valid], age], self._lost[arms[~valid], age])
+            other = arms[~valid]
+            self._update_fit(other, self._history.readings[other, age], self._history.lost[other, age])
         arms, theta, simulation = arms[valid], theta[valid], simulation.select(valid)
         self.theta[arms] = theta
         self._states[arms], self._steps[arms] = simulation.states, self._models.steps
         self._information[arms] = simulation.information + self._prior.information
         if age <= 2 * self._unit * DETECTION_START:
             self._detector.reset(arms, len(self._ages))  # innovations so far include linearisation errors
-        count = self._weights[: age + 1].size - np.count_nonzero(self._lost[arms, : age + 1], axis=(1, 2))
-        self._detector.misfit[arms] = simulation.cost / count
+        self._detector.misfit[arms] = simulation.cost / self._history.count(arms, age)
         self._change[arms], _ = simulation.step(self.theta[arms], self._prior)
         self._apply_change(arms)
 
@@ -455,24 +432,19 @@ class Estimator:
         least, likely = self._plant.delay[0], self._likely[arms].T
         delays, each = np.nonzero(likely)  # one fit for each pair of a delay and an arm
         rows = arms[each]
-        weights = self._weights[: age + 1] * ~self._lost[rows, : age + 1]
-        data = self._delayed_torques(rows, age, least + delays), self._readings[rows, : age + 1], weights
+        data = self._history.data(rows, age, least + delays)
         theta, simulation = self._models.fit(self._origin[rows], self.theta[rows], self._prior, data)
         costs, fits = np.full(likely.shape, np.inf), np.zeros(likely.shape, dtype=np.int64)
         costs[likely] = np.nan_to_num(simulation.cost + self._prior.cost(theta), nan=np.inf)
         costs[likely], fits[likely] = np.minimum(costs[likely], MAX_COST), np.arange(len(rows))
         best = costs.argmin(axis=0)
         self.delays[arms] = least + best
-        least_cost, count = costs.min(axis=0), self._weights[: age + 1].size
+        least_cost, count = costs.min(axis=0), self._history.weights[: age + 1].size
         self._likely[arms] = (
             likely & ((costs <= least_cost + DELAY_COST) | (least_cost > CONSISTENT_MISFIT * count))
         ).T
         chosen = fits[best, np.arange(len(arms))]
         return theta[chosen], simulation.select(chosen)
-
-    def _delayed_torques(self, arms: IntArray, periods: int, delays: IntArray) -> Array:
-        """Return the torques (r, k, n) N m applied to arms (r,) in the first k periods, for delays (r,) in periods."""
-        return self._torques[arms[:, None], self._plant.delay[1] + np.arange(periods) - delays[:, None]]
 
     def _current_states(self, arms: IntArray) -> Array:
         """Return the estimated states (r, 2 d) of arms (r,) at the last measurement."""
