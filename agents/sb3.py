@@ -59,7 +59,7 @@ def make_model(settings: Settings, device: str = "cpu") -> BaseAlgorithm:
 
 def _make_environments(settings: Settings) -> VecMonitor:
     """Return the vector environment of a training, with a monitor of returns and lengths of episodes."""
-    environment = settings.environment
+    environment = settings.training_environment
     keywords = environment.keywords() | {"autoreset_mode": AutoresetMode.SAME_STEP, "infos": "at end"}
     return VecMonitor(SB3VecEnv(gym.make_vec(environment.id, settings.envs, "vector_entry_point", **keywords)))
 

@@ -24,6 +24,7 @@ from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 
 ACTIONS_PER_SLEW = 16  # actions of the agent in the median slew of an arm of the user
+SLEWS_PER_EPISODE = 4  # median slews of an arm of the user in an episode of its training
 RECORDED_PACKAGES = ("flexman_gym", "gymnasium", "numba", "numpy", "scipy", "stable-baselines3", "torch")
 ALGORITHMS = ("ppo", "sac", "dagger")
 DEFAULT_ENVS = {"ppo": 64, "sac": 16, "dagger": 128}  # algorithm -> parallel arms
@@ -103,6 +104,8 @@ class Settings:
         value_warmup: environment steps at the beginning during which PPO updates only its value function.
         base_in_use: base controller that replaces the one of the training when the policy is used, designed for the arm
             on which it is used; None for the base controller of the training.
+        training_horizon: time after which an episode of the training is truncated, s; None for the horizon of the
+            environment, which evaluations have. DAgger has that of the environment.
     """
 
     algo: str = "ppo"
@@ -116,6 +119,7 @@ class Settings:
     eval_every: int = 0
     value_warmup: int = 0
     base_in_use: Any = None
+    training_horizon: float | None = None
 
     def __post_init__(self) -> None:
         set_fields(self, algo=one_of("algo", self.algo, ALGORITHMS))
@@ -132,6 +136,10 @@ class Settings:
             parse_kind("base", self.base_in_use, BASES)
         for name, value in self.hyperparameters.items():
             _check(f"hyperparameters.{name}", name, value)
+        if self.training_horizon is not None:
+            if self.algo == "dagger":
+                raise value_error("training_horizon", self.training_horizon, "None for dagger")
+            set_fields(self, training_horizon=positive("training_horizon", self.training_horizon, "s"))
         environment = self.environment
         if isinstance(environment, dict):
             environment = Configuration.from_plain(environment)
@@ -145,6 +153,13 @@ class Settings:
             eval_every=whole_number("eval_every", self.eval_every, 0, MAX_STEPS if self.algo != "dagger" else 0),
             value_warmup=whole_number("value_warmup", self.value_warmup, 0, MAX_STEPS if self.algo == "ppo" else 0),
         )
+
+    @property
+    def training_environment(self) -> Configuration:
+        """Configuration of the episodes of the training."""
+        if self.training_horizon is None:
+            return self.environment
+        return self.environment.replace(horizon=self.training_horizon)
 
     def schedule(self, name: str) -> Schedule | None:
         """Return a schedule by name, None if there is none."""
@@ -187,9 +202,9 @@ class Settings:
     def for_arm(self, arm: object, changes: Sequence[str] = ()) -> Self:
         """Return the settings for an arm of the user: times and payloads of the recipe scale with the arm.
 
-        An action lasts a sixteenth of the median slew; time constants of the history and ranges of the payload are in
-        proportion to those of the named environment. Control period, horizon, limits, slew time and gains follow from
-        the arm.
+        An action lasts a sixteenth of the median slew, and an episode of PPO and SAC four median slews, so that most
+        samples belong to motions. Time constants of the history and ranges of the payload are in proportion to those of
+        the named environment. Control period, horizon, limits, slew time and gains follow from the arm.
 
         Args:
             arm: as the setting `arm` of an environment.
@@ -204,7 +219,11 @@ class Settings:
             scaled["history"] = [float(f"{scale * each:.3g}") for each in own.history]
         if "payload_mass" in own.randomised_ranges:
             scaled["randomisation"] = own.randomised_ranges | {"payload_mass": _payload_range(named, own)}
-        return replace(self, environment=own.replace(**scaled).changed(changes))
+        environment = own.replace(**scaled).changed(changes)
+        if self.algo == "dagger":
+            return replace(self, environment=environment)
+        horizon = float(f"{SLEWS_PER_EPISODE * ACTIONS_PER_SLEW * action_time(own):.3g}")
+        return replace(self, environment=environment, training_horizon=min(horizon, environment.horizon))
 
     def check_run(self, folder: Path) -> None:
         """Raise ValueError if a folder, which may be missing, holds a run with different settings."""

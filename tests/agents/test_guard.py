@@ -6,6 +6,7 @@ import pytest
 
 from flexman_agents import guard as module
 from flexman_agents.guard import guard
+from flexman_agents.sb3 import make_model
 from flexman_agents.settings import ACTIONS_PER_SLEW, Settings, action_time, find_recipe
 from flexman_agents.training import resume, train
 from flexman_gym.common.run_folder import RESULT
@@ -84,6 +85,20 @@ def test_an_action_of_a_recipe_lasts_a_share_of_the_slews_of_the_arm():
     assert own.base == "pd" and own.derived and own.sensors == recipe.environment.sensors
     assert own.action_repeat * own.control_period == pytest.approx(action_time(own), abs=own.control_period / 2)
     assert ACTIONS_PER_SLEW * action_time(own) > 5.0 * ACTIONS_PER_SLEW * action_time(recipe.environment) / 2.0
+
+
+def test_an_episode_of_the_training_lasts_four_median_slews_and_an_evaluation_the_horizon():
+    recipe = find_recipe("ppo_on_pd_minute")
+    arm = recipe.environment.arm
+    settings = recipe.for_arm(replace(arm, joints=[replace(each, rotor_inertia=1.3) for each in arm.joints]))
+    slew = ACTIONS_PER_SLEW * action_time(settings.environment)
+    assert settings.training_horizon == pytest.approx(4.0 * slew, rel=1e-2)
+    assert settings.training_environment.horizon == settings.training_horizon < settings.environment.horizon
+    assert recipe.training_horizon is None and recipe.training_environment is recipe.environment
+    arms = make_model(replace(settings, envs=2), "cpu").env
+    assert arms.get_attr("configuration")[0] == settings.training_environment
+    text = "training_horizon: 3.0 is not allowed; give None for dagger"
+    assert refusal(lambda: replace(find_recipe("lab_student"), training_horizon=3.0)) == text
 
 
 def test_given_settings_of_a_recipe_for_an_arm_stay_and_the_others_follow_from_the_arm():
