@@ -320,10 +320,16 @@ def _read_table(context: Any, builder: Any, whole: _StructPointer, table: Any) -
 
 
 def _reader(parts: type, column: int) -> Any:
-    """Return a function for kernels that reads a group from a column of address tables, as a `Constants` or `Work`."""
+    """Return a function for kernels that reads a group from a column of address tables, as a `Constants` or `Work`.
+
+    In place of the tables it accepts a pair (constants, work) of a single arm.
+    """
 
     @intrinsic
     def read(typing_context, tables, group):
+        given = tables.types[column]
+        if isinstance(given, _StructPointer):
+            return given(tables, types.intp), lambda _, builder, kinds, values: builder.extract_value(values[0], column)
         whole = _struct(parts, *ELEMENTS[getattr(tables, "instance_class", SingleTables)])
 
         def generate(context, builder, signature, values):

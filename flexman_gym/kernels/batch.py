@@ -164,9 +164,9 @@ def run_steps(tables, method, drives, grid, steps, moved, status, counts):
     """Integrate arms by fixed steps, each under its own drive table.
 
     Args:
-        tables: address tables of the arms, of a class of `arguments`. An arm and its derivatives with respect to one
-            parameter each (TangentTables, AllTangentTables) count as ARMS_PER_GROUP arms, whose status is that of the
-            first.
+        tables: address tables of the arms, of a class of `arguments`, or constants and scratch arrays of a single arm.
+            An arm and its derivatives with respect to one parameter each (TangentTables, AllTangentTables) count as
+            ARMS_PER_GROUP arms, whose status is that of the first.
         method: result of `layout.step_method`.
         drives: (b, 7, n + 6) drive tables: rows as in `layout`, columns for n torques or accelerations of the motors, 3
             components of the tip force and 3 of the base acceleration.
@@ -180,10 +180,10 @@ def run_steps(tables, method, drives, grid, steps, moved, status, counts):
     """
     work = work_of(tables, 0)
     size = lane_count(work.row)
-    for group in range(len(tables[0])):
-        arms = group * size, min(group * size + size, len(status))
+    for first in range(0, len(status), size):
+        arms, constants = (first, min(first + size, len(status))), constants_of(tables, first // size)
         if _any_moving(status, arms[0], arms[1]):
-            _run_group(constants_of(tables, group), work, (method, drives, grid, steps), arms, moved, status, counts)
+            _run_group(constants, work, (method, drives, grid, steps), arms, moved, status, counts)
 
 
 @inner

@@ -127,11 +127,12 @@ def _add_stages(state, step, weights, stages, count, out):
 
 
 @kernel
-def run_adaptive(tables, method, tableau, table, grid, state, rows, outputs):
+def run_adaptive(constants, work, method, tableau, table, grid, state, rows, outputs):
     """Integrate an arm by steps whose lengths follow the estimated error.
 
     Args:
-        tables: `arguments.SingleTables` of the arm.
+        constants: `layout.Constants` of the arm.
+        work: `layout.Work` of the arm.
         method: result of `layout.step_method` for a method with an error estimate.
         tableau: tableau of this method.
         table: (7, n + 6) drive table of `layout`.
@@ -143,7 +144,6 @@ def run_adaptive(tables, method, tableau, table, grid, state, rows, outputs):
     Returns:
         Status, number of valid rows and number of evaluations of the accelerations.
     """
-    constants, work = constants_of(tables, 0), work_of(tables, 0)
     d, evaluations = len(state) // 2 - 1, 0
     step_size = work.next_step[0] if work.next_step[0] > 0.0 else grid.step
     paused, elapsed = _resume(work)

@@ -9,7 +9,7 @@ import numpy as np
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import one_of, positive, value_error
 from flexman_gym.kernels import batch, layout, outputs, runge_kutta
-from flexman_gym.kernels.arguments import SequenceTables, SingleTables, address_tables, aligned_zeros
+from flexman_gym.kernels.arguments import SequenceTables, address_tables, aligned_zeros
 from flexman_gym.kernels.lanes import SEQUENCES
 from flexman_gym.kernels.layout import Constants, IntArray, StepGrid, TimeGrid, Work, make_work, step_method
 from flexman_gym.model.model import Model
@@ -134,7 +134,7 @@ class Integrator:
         if isinstance(method, LinearlyImplicit) and len(method.sequence) >= fewest:
             self._lane_work = make_work(model.constants, partial(aligned_zeros, lanes=SEQUENCES.width))
             self._schedule = _extrapolation_schedule(method.sequence, SEQUENCES.width)
-        self._bound: Constants | None = None  # constants whose addresses are in the tables
+        self._bound: Constants | None = None  # constants of the sequences of an extrapolation in SIMD lanes
 
     def __call__(
         self, drive: Array, grid: tuple[float, float, int], state: Array, rows: Array, result: Array
@@ -154,18 +154,12 @@ class Integrator:
         """
         if isinstance(self.method, ScipyMethod):
             return self._by_scipy(drive, TimeGrid(*grid, *self.tolerance), state, rows, result)
-        if self._bound is not self.constants:
-            self._bind_constants()
+        if self._lane_work is not None and self._bound is not self.constants:
+            self._bound, tables = self.constants, address_tables(SequenceTables, self.constants, self._lane_work)
+            self._method = step_method(sequences=(self._tableau, tables, self._schedule))
         if self.tolerance[0] > 0.0:
             return self._by_adaptive_steps(drive, TimeGrid(*grid, *self.tolerance), state, rows, result)
         return self._by_fixed_steps(self.method, drive, StepGrid(*grid), state, rows, result)
-
-    def _bind_constants(self) -> None:
-        """Set the address tables of the present constants; several sequences of a long extrapolation are in lanes."""
-        self._bound, self._tables = self.constants, address_tables(SingleTables, self.constants, self.work)
-        if self._lane_work is not None:
-            tables = address_tables(SequenceTables, self.constants, self._lane_work)
-            self._method = step_method(sequences=(self._tableau, tables, self._schedule))
 
     # Integration takes several kernel calls of bounded length: Python handles Ctrl-C only between two calls.
     def _by_fixed_steps(
@@ -173,7 +167,7 @@ class Integrator:
     ) -> tuple[int, int, int]:
         """Integrate by fixed steps."""
         status, counts = np.zeros(1, dtype=np.int64), np.zeros((1, 2), dtype=np.int64)
-        given = self._tables, self._method, drive[None], grid
+        given = (self.constants, self.work), self._method, drive[None], grid
         moved, most = (state[None], rows[None], result[None]), max(1, self._max_evaluations // method.evaluations)
         for steps in step_ranges(method, len(rows) * grid.substeps, most):
             batch.run_steps(*given, steps, moved, status, counts)
@@ -191,7 +185,7 @@ class Integrator:
         while status == layout.PAUSED:
             part = clock._replace(first_row=valid, max_evaluations=self._max_evaluations)
             status, good, more = runge_kutta.run_adaptive(
-                self._tables, self._method, self._tableau, drive, part, state, rows[valid:], result[valid:]
+                self.constants, self.work, self._method, self._tableau, drive, part, state, rows[valid:], result[valid:]
             )
             valid, evaluations = valid + good, evaluations + more
         return status, valid, evaluations
