@@ -11,14 +11,14 @@ demo: .venv/installed
 # Two processes, each of which needs a core: kernels of both come from one cache. A file of tests stays with one of them,
 # so that no kernel is compiled by both at once.
 test: lint kernels
-	$(RUN) pytest -n 2 --dist loadfile
+	$(RUN) pytest -n 2 --dist loadfile -m "not evidence"
 
 kernels: .venv/installed
 	.venv/bin/python tests/compile_kernels.py
 
-# What a minute can tell: all but the tests that take long, with kernels that are compiled.
+# The core alone: its tests but for those that take long, with all features blocked and with kernels that are compiled.
 quick: .venv/installed
-	$(RUN) pytest -q -n 2 -m "not slow"
+	$(RUN) pytest -q -n 2 --core -m "not slow"
 
 # Into out/site, with the notebooks of the tutorials and their outputs. It opens from a disk without a network.
 site: pages
@@ -40,7 +40,7 @@ scripts/web/node_modules: scripts/web/package-lock.json
 	@touch $@
 
 verify: .venv/installed
-	.venv/bin/python scripts/verification.py --folder docs/evidence
+	$(RUN) studies verification --folder docs/evidence
 
 # What a new user does, without the checkout: builds the wheel and installs it, checks, trains and evaluates.
 wheel:
@@ -51,10 +51,12 @@ clients:
 	@PYTHON=$(PYTHON) TORCH=$(TORCH) scripts/clients.sh
 
 # Lists the rows, pages, pictures and policies that are older than the code that they describe. STUDY="servos faults"
-# makes these studies, STUDY=stale all that are not current; after an interruption the same command goes on.
+# makes these studies, STUDY=stale all that are not current; after an interruption the same command goes on. The tests
+# compare the stored rows and pages with the code.
 evidence: export OMP_NUM_THREADS = 1
 evidence: .venv/installed
-	.venv/bin/python scripts/evidence.py $(if $(STUDY),--make $(filter-out stale,$(STUDY)))
+	$(RUN) studies evidence $(if $(STUDY),--make $(filter-out stale,$(STUDY)))
+	$(RUN) pytest -q -n 2 -m evidence
 
 lint: .venv/installed
 	$(RUN) ruff check $(CODE) tests
@@ -65,12 +67,14 @@ lint: .venv/installed
 
 # torch comes first, as a CPU build where one is provided, so that the training extra does not pull CUDA packages. To compile
 # all modules takes as long as to install them. Those that commands import are compiled here, as an environment with
-# PYTHONDONTWRITEBYTECODE would compile them in each process: a command starts in a third of that time.
+# PYTHONDONTWRITEBYTECODE would compile them in each process: a command starts in a third of that time. Programs of a
+# checkout find the package `studies` by a file of paths.
 .venv/installed: pyproject.toml
 	@echo "Installing flexman_gym and its tools into .venv: once, for a few minutes"
 	@$(PYTHON) -m venv .venv
 	@$(RUN) pip install --quiet --no-compile $(TORCH)
 	@$(RUN) pip install --quiet --no-compile -e '.[train,render,dev,docs]'
+	@.venv/bin/python -c "import site; print('$(CURDIR)/scripts', file=open(site.getsitepackages()[0] + '/studies.pth', 'w'))"
 	@PYTHONDONTWRITEBYTECODE= .venv/bin/python -c "import flexman_gym, scipy.optimize, matplotlib.pyplot, stable_baselines3"
 	@touch $@
 

@@ -24,7 +24,7 @@ from flexman_gym.common.checks import is_decimal_integer
 from flexman_gym.common.files import write_atomically
 from flexman_gym.common.tables import read_csv_rows
 from flexman_gym.evaluation.agent_info import CPU_COLUMN
-from flexman_gym.evaluation.agents import AgentSpec, split_interface
+from flexman_gym.evaluation.agent_spec import AgentSpec, split_interface
 from flexman_gym.evaluation.metrics import METRICS, evaluate
 from flexman_gym.evaluation.rollouts import SELECTION_SEEDS
 

@@ -11,7 +11,8 @@ from torch import Tensor
 from torch.autograd import Function
 
 from flexman_gym.common.arrays import Array
-from flexman_gym.common.checks import one_of, value_error
+from flexman_gym.common.checks import one_of
+from flexman_gym.common.errors import value_error
 from flexman_gym.kernels import layout
 from flexman_gym.model.model import Model
 from flexman_gym.simulation.batch import Batch

@@ -7,7 +7,8 @@ from flexman_agents.settings import ACTIONS_PER_SLEW, Settings, action_time
 from flexman_gym.common.files import write_file
 from flexman_gym.common.run_folder import BASE, RESULT
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.evaluation.agents import AgentSpec, find_agent, split_interface
+from flexman_gym.evaluation.agent_spec import AgentSpec, split_interface
+from flexman_gym.evaluation.agents import find_agent
 from flexman_gym.evaluation.metrics import METRICS
 from flexman_gym.evaluation.rollouts import SELECTION_SEEDS, rollout
 

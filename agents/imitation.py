@@ -21,13 +21,15 @@ from flexman_gym.agent.controller import Controller, EpisodeInfo, Readings
 from flexman_gym.agent.mode_wrapper import ModeWrapper
 from flexman_gym.agent.network import MAX_INPUT, VARIANCE_OFFSET, Network
 from flexman_gym.common.arrays import Array, BoolArray, IntArray
-from flexman_gym.common.checks import one_of, value_error
+from flexman_gym.common.checks import one_of
+from flexman_gym.common.errors import value_error
 from flexman_gym.common.run_folder import NEWEST, write_npz
 from flexman_gym.envs.config.base_and_mode import make_base_and_mode
 from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.envs.config.plant import make_plant
-from flexman_gym.evaluation.agents import AgentSpec, observation_layout, split_interface
+from flexman_gym.evaluation.agent_spec import AgentSpec, split_interface
 from flexman_gym.evaluation.rollouts import Rollout, rollout, training_seed
+from flexman_gym.evaluation.trained_agents import observation_layout
 
 BETA = (1.0, 0.5, 0.25)  # dimensionless; share of the arms controlled by the teacher in iterations 0, 1 and 2; later 0
 ACTION_SCALE = 10.0  # dimensionless; factor of the labels of the network, because most actions are much smaller than 1

@@ -21,10 +21,11 @@ from flexman_agents.settings import (
 )
 from flexman_agents.vector import SB3VecEnv
 from flexman_gym.common import files
-from flexman_gym.common.checks import one_of, value_error
+from flexman_gym.common.checks import one_of
+from flexman_gym.common.errors import value_error
 from flexman_gym.common.files import existing_file
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.evaluation.agents import AgentSpec
+from flexman_gym.evaluation.agent_spec import AgentSpec
 from flexman_gym.evaluation.rollouts import training_seed
 
 ACTIVATION_LAYERS = {"tanh": torch.nn.Tanh, "relu": torch.nn.ReLU}  # name in settings.ACTIVATIONS -> layer

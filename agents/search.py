@@ -13,8 +13,9 @@ import yaml
 from flexman_agents.callbacks import TrainingReport
 from flexman_agents.settings import Settings
 from flexman_agents.training import train_or_resume
-from flexman_gym.common.checks import finite, mapping, one_of, sequence, value_error, whole_number
+from flexman_gym.common.checks import finite, mapping, one_of, sequence, whole_number
 from flexman_gym.common.computer import computer_text, optional_module
+from flexman_gym.common.errors import value_error
 from flexman_gym.common.files import write_atomically
 from flexman_gym.common.parallel import Workers, parallel_map_unordered
 from flexman_gym.envs.vector_env import compile_kernels

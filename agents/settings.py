@@ -15,18 +15,8 @@ import numpy as np
 
 from flexman_gym.agent.base_controllers import BASES, parse_kind
 from flexman_gym.common import files
-from flexman_gym.common.checks import (
-    finite,
-    flag,
-    mapping,
-    one_of,
-    positive,
-    sequence,
-    set_fields,
-    unknown_name,
-    value_error,
-    whole_number,
-)
+from flexman_gym.common.checks import finite, flag, mapping, one_of, positive, sequence, set_fields, whole_number
+from flexman_gym.common.errors import unknown_name, value_error
 from flexman_gym.common.run_folder import NO_SETTINGS, SETTINGS, read_settings
 from flexman_gym.envs.config.arm_settings import arm_facts
 from flexman_gym.envs.config.conditions import usual_payload

@@ -31,7 +31,8 @@ from flexman_agents.imitation import DAggerRun
 from flexman_agents.sb3 import make_model
 from flexman_agents.settings import EXPLORATION_SCHEDULES, MAX_STEPS, Settings
 from flexman_agents.vector import SB3VecEnv
-from flexman_gym.common.checks import value_error, whole_number
+from flexman_gym.common.checks import whole_number
+from flexman_gym.common.errors import value_error
 from flexman_gym.common.files import reading
 from flexman_gym.common.run_folder import (
     BEST,
@@ -44,7 +45,8 @@ from flexman_gym.common.run_folder import (
     write_npz,
 )
 from flexman_gym.common.snapshot import get_state, set_state
-from flexman_gym.evaluation.agents import AgentSpec, check_settings
+from flexman_gym.evaluation.agent_spec import AgentSpec
+from flexman_gym.evaluation.trained_agents import check_settings
 
 # Names of attributes of Stable-Baselines3 models, wrappers and buffers that form the state of a training.
 COUNTERS = ("num_timesteps", "_n_updates", "_episode_num", "_current_progress_remaining")

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvStepReturn
 
-from flexman_gym.common.checks import value_error
+from flexman_gym.common.errors import value_error
 
 Infos = dict[str, Any]
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from textwrap import wrap
 
 from flexman_gym import __version__, commands
-from flexman_gym.common.checks import suggestion
+from flexman_gym.common.errors import suggestion
 
 COMMAND_GROUPS = {  # group -> commands, in the order of the help
     "start": ("demo", "live", "arm", "check", "compile", "list", "verify"),

@@ -15,10 +15,11 @@ if TYPE_CHECKING:
     from flexman_gym.toolbox.controllers.observers.kalman_filter import KalmanFilter
     from flexman_gym.toolbox.controllers.observers.observer import Estimate, Observer
     from flexman_gym.toolbox.controllers.observers.oracle import Oracle
+    from flexman_gym.toolbox.controllers.output_feedback import OutputFeedback
     from flexman_gym.toolbox.controllers.pd_design import design_pd
     from flexman_gym.toolbox.controllers.range_check import RangeCheckedController
     from flexman_gym.toolbox.controllers.references.optimised_slews import OptimisedController
-    from flexman_gym.toolbox.controllers.tracking import OutputFeedback, Tracking
+    from flexman_gym.toolbox.controllers.tracking import Tracking
 
 __all__ = [
     "BASES",

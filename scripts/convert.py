@@ -14,8 +14,9 @@ from flexman_gym.common.run_folder import BEST, NEWEST, SETTINGS, read_npz, writ
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.vector_env import FlexManVectorEnv
-from flexman_gym.evaluation.policy_files import CERTIFICATE, METADATA
+from flexman_gym.evaluation.policy_files import METADATA
 from flexman_gym.simulation.physical_parameters import UNCERTAIN
+from flexman_gym.toolbox.league.certificate_file import CERTIFICATE
 from flexman_gym.toolbox.league.rows import CELLS, ROWS
 
 FILES = (SETTINGS, NEWEST, BEST, METADATA, CERTIFICATE, ROWS, CELLS)  # files of a folder that are converted

@@ -17,8 +17,9 @@ from flexman_gym.model.deformation import link_shapes
 from flexman_gym.model.model import Model
 from flexman_gym.model.state_space import LinearModel
 from flexman_gym.simulation.physical_parameters import varied_model
-from flexman_gym.toolbox.controllers.input_shaping.shapers import design_shaper, excited_modes
-from flexman_gym.toolbox.controllers.lqr import CostWeights
+from flexman_gym.toolbox.controllers.cost_weights import NamedWeights
+from flexman_gym.toolbox.controllers.excited_modes import excited_modes
+from flexman_gym.toolbox.controllers.input_shaping.shapers import design_shaper
 from studies.files import folder
 
 FILE = "ringing_arm.js"
@@ -59,7 +60,7 @@ def designs(model: Model) -> dict[str, Any]:
     servo = np.zeros(2 * d)
     servo[[motor, d + motor]] = stiffness, 2.0 * np.sqrt(stiffness * rotor)  # critical damping of the rotor
     nominal = fm.linearize(model)
-    regulator = CostWeights.default(model).gain(nominal, model.motor_columns, limits, PERIOD)[0]
+    regulator = NamedWeights.of_reach(model).gain(nominal, model.motor_columns, limits, PERIOD)[0]
     rigid = np.zeros(d)
     rigid[[0, motor]] = 1.0  # rotation of the undeformed arm
     frequency, ratio, _ = excited_modes(model, [0.0])[0]

@@ -1,20 +1,62 @@
-"""Limit of the number of skipped tests."""
+"""Tests of the core without features, and the limit of the number of skipped tests."""
 
 import re
+import sys
 from collections import Counter
+from pathlib import Path
 
 import pytest
 
+FEATURES = ("flexman_gym.toolbox", "flexman_gym.commands", "flexman_agents", "studies", "torch", "stable_baselines3")
 MISSING = re.compile(r"could not import|No module named|is not installed")  # reasons of skips for a missing package
 
 
 def pytest_addoption(parser):
-    """Add the options that limit the number of skipped tests."""
+    """Add the options of the core, and those that limit the number of skipped tests."""
+    parser.addoption(
+        "--core", action="store_true",
+        help="run the tests of the core, without the marker `feature`; each import of a feature fails",
+    )  # fmt: skip
     parser.addoption("--most-skips", type=int, help="fail with more skipped tests, and with one for a missing package")
     parser.addoption(
         "--without", action="append", default=[], metavar="NAME",
         help="package or program that cannot be installed here: tests skipped for it are listed and not counted",
     )  # fmt: skip
+
+
+class FeatureBlocker:
+    """Finder of modules that fails a test of the core which imports a feature."""
+
+    @staticmethod
+    def find_spec(name, path=None, target=None):
+        """Fail for a module of a feature; return None for other modules, which the next finder looks for."""
+        if name.startswith(tuple(f"{each}." for each in FEATURES)) or name in FEATURES:
+            text = "is a feature, which a test of the core does not import; move the test to the folder of the feature"
+            pytest.fail(f"{name} {text} or mark it `feature`")
+
+
+def pytest_configure(config):
+    """Block imports of features in a run of the core."""
+    if config.getoption("--core"):
+        sys.meta_path.insert(0, FeatureBlocker)
+
+
+def pytest_ignore_collect(collection_path, config):
+    """Leave out the folders and files beside those of the core in a run of the core; None leaves it to pytest."""
+    if not config.getoption("--core"):
+        return None
+    from architecture import CORE
+
+    parts = collection_path.relative_to(Path(__file__).parent).parts
+    return True if parts and parts[0] not in CORE else None
+
+
+def pytest_collection_modifyitems(config, items):
+    """Deselect tests with the marker `feature` in a run of the core."""
+    if config.getoption("--core"):
+        chosen = [item for item in items if not item.get_closest_marker("feature")]
+        config.hook.pytest_deselected(items=[item for item in items if item not in chosen])
+        items[:] = chosen
 
 
 def too_many_skips(reasons, most, without=()):

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 import flexman_gym as fm
 from flexman_gym.agent.pd import PD
-from flexman_gym.common import checks
+from flexman_gym.common import errors
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.vector_env import FlexManVectorEnv
 from flexman_gym.kernels.layout import LARGEST_STATE
@@ -20,8 +20,9 @@ from flexman_gym.model.assembled_modes import assembled_modes
 from flexman_gym.model.model import scene_model
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.integrator import MAX_STEPS
+from flexman_gym.toolbox.controllers.excited_modes import excited_modes
 from flexman_gym.toolbox.controllers.input_shaping.shaped_controller import InputShapedController
-from flexman_gym.toolbox.controllers.input_shaping.shapers import design_shaper, excited_modes
+from flexman_gym.toolbox.controllers.input_shaping.shapers import design_shaper
 from flexman_gym.toolbox.controllers.lqr import LQR, TrackingLQR
 
 from oracles import odd_values
@@ -256,9 +257,9 @@ def test_a_value_is_shown_on_one_short_line_whatever_it_is():
     deep = []
     deep.append(deep)
     for value in (Rude(), [Rude()], list(range(10**6)), "x" * 10**6, "a\nb", 10**5000, deep, {1: Rude()}):
-        text = checks.short_repr(value)
+        text = errors.short_repr(value)
         assert len(text) <= 80 and "\n" not in text
-    assert checks.short_repr([1.0, 2.0]) == "[1.0, 2.0]" and checks.short_repr(Rude()) == "this Rude"
+    assert errors.short_repr([1.0, 2.0]) == "[1.0, 2.0]" and errors.short_repr(Rude()) == "this Rude"
 
 
 def test_arms_of_extreme_sizes_are_refused_or_have_finite_numbers():

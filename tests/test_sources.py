@@ -69,8 +69,8 @@ IN_PLACE = {  # (file, call) -> reason why it does not write by `write_file` or 
     ("flexman_gym/common/files.py", "open('wb')"): "a device or a pipe",
     ("flexman_gym/common/run_folder.py", "fdopen('r+')"): "the lock of a folder, which has no content to lose",
     ("flexman_gym/envs/vector_env.py", "open('w')"): "the lock of the cache of kernels, an empty file",
-    ("flexman_gym/toolbox/controllers/lqr.py", "mkstemp"): "a cache that processes replace, each by its own file",
-    ("flexman_gym/toolbox/controllers/lqr.py", "fdopen('wb')"): "the same",
+    ("flexman_gym/toolbox/controllers/gain_table.py", "mkstemp"): "a cache that each process replaces by its own file",
+    ("flexman_gym/toolbox/controllers/gain_table.py", "fdopen('wb')"): "the same",
 }
 
 
@@ -114,6 +114,13 @@ def test_calls_that_write_in_place_are_found(tmp_path):
     ):  # fmt: skip
         (tmp_path / "file.py").write_text(text)
         assert in_place(tmp_path / "file.py") == found, text
+
+
+def test_folders_of_tests_are_those_of_the_code():
+    folders = {path.parent.relative_to(Path(__file__).parent) for path in TESTS if path.name.startswith("test_")}
+    code = {path.parent.relative_to(PACKAGE) for path in PACKAGE.rglob("*.py") if path.name != "__init__.py"}
+    parts = {Path(*path.parts[: 1 + (path.parts[:1] == ("toolbox",))]) for path in code}
+    assert folders == parts | {Path(name) for name in ("agents", "docs", "oracles", "studies")}
 
 
 def test_installed_packages_are_the_folders_with_code():

@@ -10,7 +10,7 @@ import numpy as np
 from flexman_gym.agent.base_controllers import parse_kind
 from flexman_gym.agent.controller import Controller, EpisodeInfo, Plant, Readings, saturated
 from flexman_gym.common.arrays import Array, BoolArray, IntArray
-from flexman_gym.common.checks import value_error
+from flexman_gym.common.errors import value_error
 from flexman_gym.common.registry import Registry
 
 MAX_OBSERVATION = 100.0  # bound on the magnitude of observed quantities

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from flexman_gym.agent.action_modes import MAX_OBSERVATION, ActionMode
 from flexman_gym.agent.controller import Controller, EpisodeInfo, Readings
 from flexman_gym.common.arrays import Array, BoolArray, IntArray, pad_rows
-from flexman_gym.common.checks import value_error
+from flexman_gym.common.errors import value_error
 
 Law = Callable[[NDArray[np.float32]], NDArray[Any]]  # observations (b, size) -> commands (b, k) from -1 to 1
 MAX_HISTORY = 1000  # largest number of observations in a history
@@ -69,8 +69,9 @@ class Agent:
 
     An observation is taken every `action_repeat` control periods, and the law maps it to a command (k,), which is held
     in between. In every control period the action mode converts the command into torques and adds the torques of the
-    base controller. Without a law, a trainer or an evaluation writes the command to `command`. An agent with a law
-    satisfies `Controller` and can serve as the base controller of another agent.
+    base controller. An environment observes at the end of a control period and calls `decide`, or sets `command` to the
+    action of a trainer, and `torques`; as a `Controller` and as base controller of another agent, an agent does all of
+    this in `act`.
 
     Args:
         sensors: observed sensors in their order, including the sensors of the task.
@@ -79,8 +80,8 @@ class Agent:
         base: base controller of the mode; None for no base controller.
         history: number of observations, or time constants (s) of moving averages.
         action_repeat: control periods for which a command is held.
-        law: function from observations (b, size) to commands (b, k) from -1 to 1, such as a `Network`; None if commands
-            are written from outside.
+        law: function from observations (b, size) to commands (b, k) from -1 to 1, such as a `Network`; None for
+            commands of zero, and for those of a trainer.
 
     Attributes:
         observations: (b, size) float32, including history and the quantities of the mode; unchanged between two
@@ -100,7 +101,7 @@ class Agent:
         action_repeat: int = 1,
         law: Law | None = None,
     ) -> None:
-        self.mode, self.base, self.law, self.action_repeat = mode, base, law, action_repeat
+        self.mode, self.base, self.action_repeat = mode, base, action_repeat
         self.sensors: Any = (*sensors, *mode.sensors)
         mode_size = sum(getattr(mode, "observation_sizes", {}).values())
         self.mode_observes = mode_size > 0
@@ -109,8 +110,7 @@ class Agent:
         self._history: History | None = None
         self.observations: NDArray[np.float32] = np.zeros((0, history_length(history) * self._row), dtype=np.float32)
         self.command, self._ages = np.zeros((0, len(mode.names))), np.zeros(0, dtype=np.int64)
-        if law is not None:
-            self.check_law(law)
+        self.set_law(law)
 
     @property
     def estimates(self) -> Mapping[str, Array]:
@@ -122,14 +122,10 @@ class Agent:
         row = np.append(sensors, np.full(self._row - self._size, MAX_OBSERVATION))
         return np.tile(row, history_length(self.history)).astype(np.float32)
 
-    def check_law(self, law: object) -> None:
-        """Check the numbers of inputs and outputs of a law, its optional attributes `size` and `joints`.
+    def set_law(self, law: Law | None) -> None:
+        """Set the law, see the class; raise a ValueError if its optional attributes differ from the sizes of the agent.
 
-        Args:
-            law: function from observations to commands.
-
-        Raises:
-            ValueError: for sizes that differ from the sizes of the agent.
+        These attributes, `size` and `joints`, are the numbers of its inputs and outputs.
         """
         length, mode_size = history_length(self.history), self._row - self._size
         size = getattr(law, "size", length * self._row) // length - mode_size
@@ -141,6 +137,7 @@ class Agent:
             raise value_error(
                 "actions", self.mode.names, f"an action mode of {commands} numbers, the number of outputs of the policy"
             )
+        self.law = law
 
     def allocate(self, count: int, period: float) -> None:
         """Allocate memory for `count` arms with a control period (s)."""
@@ -191,8 +188,15 @@ class Agent:
             if len(arms):
                 self.observations[arms] = update(now[arms], arms)
 
+    def decide(self, arms: IntArray | slice = slice(None)) -> NDArray[np.float32]:
+        """Return the commands (r, k) of the law for the present observations of arms (r,); zeros without a law."""
+        observations = self.observations[arms].copy()
+        if self.law is None:
+            return np.zeros((len(observations), len(self.mode.names)), dtype=np.float32)
+        return np.asarray(self.law(observations), dtype=np.float32)
+
     def act(self, readings: Readings, applied: Array, active: BoolArray) -> Array:
-        """Return the torques (b, n) as fractions of the torque limits; arguments as in `Controller.act`.
+        """Observe, decide where a command is due, and return `torques`; arguments as in `Controller.act`.
 
         Raises:
             ValueError: for readings whose size differs from the size of the agent's sensors.
@@ -200,7 +204,11 @@ class Agent:
         if self.law is not None and (due := self.due(active)).any():
             self.observe(self._observed(readings), readings, applied, due)
             arms = np.flatnonzero(due)
-            self.command[arms] = np.asarray(self.law(self.observations[arms]), dtype=np.float32)
+            self.command[arms] = self.decide(arms)
+        return self.torques(readings, applied, active)
+
+    def torques(self, readings: Readings, applied: Array, active: BoolArray) -> Array:
+        """Return the torques (b, n) of the present command as fractions of the torque limits; see `Controller.act`."""
         if self._counts_periods:
             self._ages += active
         return np.asarray(self.mode.act(self.command, readings, applied, active))

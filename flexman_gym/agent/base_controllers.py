@@ -6,7 +6,8 @@ from inspect import getdoc, signature
 from typing import Any, Protocol
 
 from flexman_gym.agent.controller import Controller, Plant
-from flexman_gym.common.checks import mapping, one_of, text, value_error
+from flexman_gym.common.checks import mapping, one_of, text
+from flexman_gym.common.errors import value_error
 from flexman_gym.common.registry import Registry
 
 

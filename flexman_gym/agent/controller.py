@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexman_gym.common.arrays import Array, BoolArray, IntArray, Vector
-from flexman_gym.common.checks import check_member_names, value_error
+from flexman_gym.common.checks import check_member_names
+from flexman_gym.common.errors import value_error
 from flexman_gym.model.model import Model
 from flexman_gym.simulation.methods import DEFAULT_METHOD, Method
 
@@ -36,6 +37,8 @@ class Plant(NamedTuple):
             the largest magnitude of its bias, in the unit of the quantity, and its largest relative gain error:
             name -> (4, size).
         bandwidth: bandwidth of a first-order lag between commanded and applied torques, Hz; None for no lag.
+        rate_limit: largest magnitude of a motor rate in the environment, rad/s.
+        named_period: control period of the named environment whose arm this is, s; None for another arm.
     """
 
     model: Model
@@ -48,6 +51,8 @@ class Plant(NamedTuple):
     tip_force: float = 0.0
     measured: Callable[[], Mapping[str, Array]] = dict
     bandwidth: float | None = None
+    rate_limit: float = np.inf
+    named_period: float | None = None
 
 
 Readings = Mapping[str, NDArray[Any]]
@@ -99,6 +104,10 @@ class Controller(Protocol):
     needs besides its readings. `flexman drive` calls it before the readings arrive; the actions are those without it.
     `skip(active)` is called in place of `act` in a control period without good readings, see `RangeCheckedController`:
     references that are functions of time go on by a period, and all else remains unchanged.
+
+    Two members serve the export as C. `c_program`, an attribute of the class itself, is the place "module:function" of
+    a function of the controller and the names of its readings, which returns its tables and statements in C, see
+    `toolbox.deployment.c_programs`. `linear_form()` returns the linear controller that is exported in its place.
 
     Attributes:
         sensors: names of the sensors that the controller reads.

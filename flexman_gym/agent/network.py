@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexman_gym.common.arrays import Array, row_dots
-from flexman_gym.common.checks import is_decimal_integer, one_of, value_error
+from flexman_gym.common.checks import is_decimal_integer, one_of
+from flexman_gym.common.errors import value_error
 
 ACTIVATION_FUNCTIONS: dict[str, Callable[[Array], Array]] = {
     "tanh": np.tanh,
@@ -46,6 +47,8 @@ class Network:
     Raises:
         ValueError: for missing arrays, inconsistent shapes and numbers that are not finite.
     """
+
+    c_program = "flexman_gym.toolbox.deployment.c_programs:network_program"
 
     def __init__(self, algo: str, activation: str | None, parameters: object, statistics: object) -> None:
         first, last, default, self._output = LAYER_NAMES[one_of("algo", algo, LAYER_NAMES)]

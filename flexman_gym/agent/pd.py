@@ -38,6 +38,7 @@ class PD:
     """
 
     sensors: tuple[str, ...] = ("servo",)
+    c_program: ClassVar[str] = "flexman_gym.toolbox.deployment.c_programs:pd_program"
     gain_units: ClassVar[Mapping[str, str]] = {"stiffness": "N m/rad", "damping": "N m s/rad"}
 
     def __init__(

@@ -5,12 +5,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from flexman_gym.common.checks import short_path
+from flexman_gym.common.errors import short_path
 from flexman_gym.common.files import check_output
 
 if TYPE_CHECKING:
     from flexman_gym.envs.config.configuration import Configuration
-    from flexman_gym.evaluation.agents import AgentSpec
+    from flexman_gym.evaluation.agent_spec import AgentSpec
 
 
 class CommandLine(NamedTuple):
@@ -35,8 +35,8 @@ def add_options(parser: argparse.ArgumentParser, *names: str, **changes: dict[st
     """
     from flexman_gym.envs.config.configuration import SET_HELP
     from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
-    from flexman_gym.evaluation.agents import AGENTS
     from flexman_gym.evaluation.rollouts import TEST_SEEDS
+    from flexman_gym.evaluation.trained_agents import AGENTS
 
     ids = ", ".join(sorted(NAMED_ENVIRONMENTS))
     environment = f"environment: a file, an id with a condition such as FlexRRR-v0/delay, or {ids}"

@@ -51,7 +51,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
 
 def _run(options: argparse.Namespace) -> int:
     """Drive the machine, write the log and print a summary; return 0, or 1 after a fault."""
-    from flexman_gym.common.checks import value_error
+    from flexman_gym.common.errors import value_error
     from flexman_gym.envs.config.configuration import Configuration
     from flexman_gym.toolbox.deployment.machine.drive import drive
     from flexman_gym.toolbox.deployment.machine.server import Disturbances

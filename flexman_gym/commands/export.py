@@ -43,7 +43,7 @@ def _policy_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _policy(options: argparse.Namespace) -> str:
-    from flexman_gym.common.checks import value_error
+    from flexman_gym.common.errors import value_error
     from flexman_gym.evaluation.policy_files import FOLDER
     from flexman_gym.toolbox.interchange.policy_export import export_policy
 

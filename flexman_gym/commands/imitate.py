@@ -5,7 +5,7 @@ import argparse
 import yaml
 
 from flexman_gym.commands import CommandLine, train
-from flexman_gym.common.checks import value_error
+from flexman_gym.common.errors import value_error
 
 # options of flexman train without use here
 TRAIN_ONLY_OPTIONS = ("algo", "engine", "runners", "device", "eval_every", "checkpoint_every")

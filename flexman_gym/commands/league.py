@@ -35,7 +35,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
         metavar="SCENARIO", help="environments with a condition or a change, such as FlexRRR-v0/delay=3+given "
         "(default: the usual ones)",
     )  # fmt: skip
-    parser.add_argument("--agent", metavar="NAME", help="write the certificate of a policy, by its name or folder")
+    parser.add_argument("--agent", metavar="NAME", help="certify an exported policy, by its name or folder")
     parser.add_argument(
         "--sweep", nargs="+", default=[], metavar="NAME", help=f"run sweeps of {', '.join(SWEEPS)} instead"
     )
@@ -65,7 +65,7 @@ def _run(options: argparse.Namespace) -> int:
     """Run the missing episodes of the league and write its page; return the exit status."""
     from flexman_gym.common.computer import computer_text
     from flexman_gym.common.parallel import Workers
-    from flexman_gym.evaluation.agents import AGENTS
+    from flexman_gym.evaluation.trained_agents import AGENTS
     from flexman_gym.toolbox.league.details import league_details
     from flexman_gym.toolbox.league.page import PAGE, write_page
     from flexman_gym.toolbox.league.rows import LeagueRows, run_league

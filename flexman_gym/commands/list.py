@@ -7,7 +7,7 @@ from itertools import takewhile
 from pathlib import Path
 
 from flexman_gym.commands import CommandLine
-from flexman_gym.common.checks import suggestion
+from flexman_gym.common.errors import suggestion
 
 KINDS = ("environments", "conditions", "controllers", "policies", "sensors", "methods", "arms", "recipes", "examples")
 PACKAGE_FOLDER = Path(__file__).parents[1]
@@ -58,7 +58,8 @@ def _entries(what: str) -> Iterable[tuple[str, str]]:
             for name, base in BASES.items()
         )
     elif what == "policies":
-        from flexman_gym.evaluation.policy_files import POLICIES, describe_policy
+        from flexman_gym.evaluation.policy_files import POLICIES
+        from flexman_gym.toolbox.league.certificate_file import describe_policy
 
         yield from ((name, describe_policy(name)) for name in POLICIES)
     elif what == "sensors":

@@ -38,7 +38,7 @@ def _run(options: argparse.Namespace) -> int:
     from flexman_agents.search import search
     from flexman_agents.settings import find_recipe
     from flexman_gym.common import files
-    from flexman_gym.common.checks import value_error
+    from flexman_gym.common.errors import value_error
     from flexman_gym.common.parallel import Workers
 
     over = files.read_data(options.over)

@@ -17,7 +17,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from flexman_gym.commands import CommandLine, output_file
-from flexman_gym.common.checks import finite, value_error, whole_number
+from flexman_gym.common.checks import finite, whole_number
+from flexman_gym.common.errors import value_error
 from flexman_gym.common.files import write_file
 
 if TYPE_CHECKING:

@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from flexman_gym.commands import CommandLine, add_options
-from flexman_gym.common.checks import value_error, whole_number
+from flexman_gym.common.checks import whole_number
+from flexman_gym.common.errors import value_error
 
 if TYPE_CHECKING:
     from flexman_agents.settings import Settings

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexman_gym.common.arrays import Array, Vector
-from flexman_gym.common.checks import value_error
+from flexman_gym.common.errors import value_error
 from flexman_gym.common.units import UNITS, find_unit, is_counter, name_parts
 
 MIN_SAMPLES = 4  # times of a record in equal steps

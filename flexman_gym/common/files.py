@@ -21,7 +21,8 @@ import numpy as np
 import yaml
 
 from flexman_gym.common.arrays import Vector
-from flexman_gym.common.checks import MAX_REASON, MappingKeyError, one_of, short_path, short_repr
+from flexman_gym.common.checks import one_of
+from flexman_gym.common.errors import MAX_REASON, MappingKeyError, short_path, short_repr
 
 # Possible errors while reading a damaged file of text or arrays.
 READ_ERRORS = (

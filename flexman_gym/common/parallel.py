@@ -19,8 +19,9 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any, TypeVar
 
-from flexman_gym.common.checks import one_of, set_fields, value_error, whole_number
+from flexman_gym.common.checks import one_of, set_fields, whole_number
 from flexman_gym.common.computer import computer_text, optional_module
+from flexman_gym.common.errors import value_error
 from flexman_gym.common.progress import Progress
 from flexman_gym.common.run_folder import read_npz, write_npz
 

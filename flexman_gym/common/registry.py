@@ -9,7 +9,8 @@ from functools import cache
 from importlib import import_module
 from typing import Any, Generic, TypeVar
 
-from flexman_gym.common.checks import one_of, text, value_error
+from flexman_gym.common.checks import one_of, text
+from flexman_gym.common.errors import value_error
 
 Entry = TypeVar("Entry")
 TABLES = {

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from flexman_gym.common.checks import key_error
+from flexman_gym.common.errors import key_error
 from flexman_gym.common.files import existing_file, naming, open_arrays, reading, regular_file, write_atomically
 
 SETTINGS, NEWEST, BEST, LOCK = "settings.json", "newest.npz", "best.npz", "lock"

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from flexman_gym.common.checks import key_error, value_error
+from flexman_gym.common.errors import key_error, value_error
 
 GENERATOR = "bit_generator"  # key of the state of a random generator
 

@@ -14,7 +14,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from flexman_gym.common.checks import MAX_ENTRIES, short_path, value_error
+from flexman_gym.common.checks import MAX_ENTRIES
+from flexman_gym.common.errors import short_path, value_error
 from flexman_gym.common.files import regular_file
 from flexman_gym.common.units import find_unit
 

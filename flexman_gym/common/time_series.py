@@ -8,8 +8,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from flexman_gym.common.checks import sequence, value_error, warn_caller
+from flexman_gym.common.checks import sequence
 from flexman_gym.common.clock import MAX_SHOWN, TIME_UNITS, EqualTimes, find_clock, is_time, join_seconds
+from flexman_gym.common.errors import value_error, warn_caller
 from flexman_gym.common.tables import Table, read_table, table_name
 from flexman_gym.common.units import UNITS, is_command, is_counter, split_header
 

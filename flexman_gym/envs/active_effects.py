@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexman_gym.common.arrays import Array, BoolArray, IntArray
-from flexman_gym.common.checks import check_member_names, value_error
+from flexman_gym.common.checks import check_member_names
+from flexman_gym.common.errors import value_error
 from flexman_gym.envs.config.randomisation import Randomisation
 from flexman_gym.envs.effects import HOOKS, SIGNALS, EffectContext
 from flexman_gym.envs.random_streams import RandomStreams

@@ -12,7 +12,8 @@ from gymnasium import spaces
 from flexman_gym.agent.agent import Agent
 from flexman_gym.agent.controller import Controller, EpisodeInfo
 from flexman_gym.common.arrays import Array, BoolArray, IntArray
-from flexman_gym.common.checks import number_array, one_of, sample_count, value_error
+from flexman_gym.common.checks import number_array, one_of, sample_count
+from flexman_gym.common.errors import value_error
 from flexman_gym.common.snapshot import get_state, set_state
 from flexman_gym.envs.active_effects import ActiveEffects
 from flexman_gym.envs.compiled_period import CompiledPeriod
@@ -35,6 +36,7 @@ from flexman_gym.simulation.physical_parameters import UNMODELLED
 
 MAX_DRAWS = 1000  # draws of a task for an episode whose start and goal are in the workspace
 ROUNDING = 1e-6  # largest rounding error of float32 actions near 1
+ALLOWED_COMMANDS = "a number from -1 to 1 for each motor of each arm"
 
 
 def validate_actions(name: str, value: object, shape: tuple[int, ...], allowed: str, clip: bool) -> Array:
@@ -114,6 +116,7 @@ class Episodes:
         self.agent = Agent(own_sensors, size, mode, base, configuration.history, configuration.action_repeat)
         self.agent.allocate(arms, configuration.control_period)
         self._energy_alarm, self._info_keys = configuration.energy_alarm, configuration.info_keys
+        self._clips_actions = configuration.clip_actions
         for name in configuration.info_keys:
             one_of("info_keys", name, (*self.view.units, "action"))
         self.max_periods = self._path_periods = configuration.max_periods
@@ -289,15 +292,21 @@ class Episodes:
         """Set forces (b, 3) at the tips in the base frame, N, which act until the next call; effects add theirs."""
         self.motors.pushes[:] = self.motors.forces[:] = forces
 
-    def step(self, commands: Array) -> Array:
-        """Simulate the arms for `action_repeat` control periods with actions (b, k) of the agent; return rewards (b,).
+    def step(self, commands: Array | None = None) -> Array:
+        """Simulate the arms for `action_repeat` control periods with commands (b, k); return rewards (b,).
+
+        The commands are those of a trainer; None for those of the law of the agent.
 
         The reward is the mean over the control periods in which the arm moved. An arm whose episode ends earlier keeps
         its last state. The result of an arm without a running episode is undefined.
         """
-        self.agent.command = commands
+        agent = self.agent
+        if commands is None:
+            shape, clips = agent.command.shape, self._clips_actions
+            commands = validate_actions("actions", agent.decide(), shape, ALLOWED_COMMANDS, clips)
+        agent.command = commands
         self.cost[:] = 0.0
-        if self.agent.action_repeat == 1:
+        if agent.action_repeat == 1:
             advance(self, self.every)
             self._observe(~self.view.failed if np.count_nonzero(self.view.failed) else self.every)
             return self.rewards()

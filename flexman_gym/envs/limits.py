@@ -8,7 +8,8 @@ from typing import Any, Self
 import numpy as np
 
 from flexman_gym.common.arrays import Array, IntArray, Vector
-from flexman_gym.common.checks import mapping, non_negative, one_of, positive, sequence, set_fields, value_error, vector
+from flexman_gym.common.checks import mapping, non_negative, one_of, positive, sequence, set_fields, vector
+from flexman_gym.common.errors import value_error
 from flexman_gym.envs.view import View
 from flexman_gym.kernels.control_period import sparse_product
 from flexman_gym.kernels.layout import TIP, TIP_VELOCITY

@@ -27,7 +27,7 @@ def advance(episodes: "Episodes", moving: BoolArray) -> bool:
     """
     view, motors, effects, agent = episodes.view, episodes.motors, episodes.effects, episodes.agent
     arms = None if moving is episodes.every else moving
-    actions = np.ascontiguousarray(agent.act(episodes.readings, view.action.copy(), ~episodes.over))
+    actions = np.ascontiguousarray(agent.torques(episodes.readings, view.action.copy(), ~episodes.over))
     last = bool(agent.due(moving).any())
     arriving = actions
     if effects is not None:

@@ -43,6 +43,6 @@ def register_environments() -> None:
 
 def refuse_condition(name: str, condition: str, **settings: Any) -> NoReturn:
     """Raise ValueError for an id such as "FlexRRR-v0/delay", which is valid for `rollout` but not for `gym.make`."""
-    from flexman_gym.common.checks import value_error
+    from flexman_gym.common.errors import value_error
 
     raise value_error("id", f"{name}/{condition}", f'gym.make("{name}", condition="{condition}")')

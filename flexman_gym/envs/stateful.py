@@ -8,7 +8,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from flexman_gym.common.checks import key_error, value_error
+from flexman_gym.common.errors import key_error, value_error
 from flexman_gym.common.snapshot import get_state, set_state
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.episodes import Episodes

@@ -16,7 +16,8 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from flexman_gym.common.arrays import Array, BoolArray, IntArray, Vector
-from flexman_gym.common.checks import one_of, sequence, value_error, whole_number
+from flexman_gym.common.checks import one_of, sequence, whole_number
+from flexman_gym.common.errors import value_error
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.envs.config.reset_options import check_parameters

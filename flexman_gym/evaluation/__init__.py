@@ -5,7 +5,8 @@ from typing import TYPE_CHECKING
 from flexman_gym.common.lazy import lazy_names
 
 if TYPE_CHECKING:
-    from flexman_gym.evaluation.agents import BASELINES, AgentSpec, find_agent
+    from flexman_gym.evaluation.agent_spec import BASELINES, AgentSpec
+    from flexman_gym.evaluation.agents import find_agent
     from flexman_gym.evaluation.metrics import METRICS, Metric, evaluate
     from flexman_gym.evaluation.rollouts import EpisodeRecord, Rollout, rollout
     from flexman_gym.evaluation.tables import metrics_table

@@ -6,13 +6,15 @@ from pathlib import Path
 from typing import Any
 
 from flexman_gym.agent.base_controllers import BASES
-from flexman_gym.common.checks import short_path, value_error
+from flexman_gym.common.errors import short_path, value_error
 from flexman_gym.common.run_folder import SETTINGS, read_settings
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.sensors import plain_sensors
-from flexman_gym.evaluation.agents import SIMPLE_AGENTS, is_baseline, training_folder
+from flexman_gym.evaluation.agent_spec import SIMPLE_AGENTS
+from flexman_gym.evaluation.agents import is_baseline
 from flexman_gym.evaluation.policy_files import policy_folder, read_policy
 from flexman_gym.evaluation.rollouts import SELECTION_SEEDS, training_seed
+from flexman_gym.evaluation.trained_agents import training_folder
 
 # information not available on hardware; "its episodes": start, goal and parameters of the episodes before they begin
 ORACLE_INFORMATION = ("true state", "true parameters", "its episodes")

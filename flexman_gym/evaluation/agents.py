@@ -1,155 +1,24 @@
-"""Agents to be evaluated: baselines, shipped policies, training runs, controllers, and objects with `predict`."""
+"""Agents to be evaluated: baselines, controllers, objects with `predict`, and trained agents by name or folder."""
 
-import os
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from inspect import signature
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from collections.abc import Sequence
 
-import gymnasium as gym
 import numpy as np
-from numpy.typing import NDArray
 
-from flexman_gym.agent.agent import Law
 from flexman_gym.agent.base_controllers import BASES, parse_kind
 from flexman_gym.agent.controller import Controller, EpisodeInfo, Readings
-from flexman_gym.agent.network import Network
 from flexman_gym.common.arrays import Array, BoolArray, IntArray
-from flexman_gym.common.checks import unknown_name, value_error
-from flexman_gym.common.files import existing_file, naming, reading
-from flexman_gym.common.run_folder import (
-    BEST,
-    NEWEST,
-    NO_SETTINGS,
-    SETTINGS,
-    check_keys,
-    has_base_as_result,
-    read_npz,
-    read_settings,
-)
-from flexman_gym.envs.config.base_and_mode import make_base_and_mode
+from flexman_gym.common.errors import value_error
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.envs.config.fidelity import resolve_fidelity
-from flexman_gym.evaluation.policy_files import METADATA, POLICIES, policy_folder, read_policy
-
-if TYPE_CHECKING:
-    from flexman_gym.evaluation.action_clock import ActionClock
-
-INTERFACE = ("base", "action_repeat", "sensors", "history", "actions")  # settings that belong to the agent
-SIMPLE_AGENTS = {"zero": "no torque at all", "random": "random torques"}  # agents without controller -> description
-BASELINES = (*BASES, *SIMPLE_AGENTS)
-"""Names of the agents that need no training."""
-AGENTS = (*BASELINES, *POLICIES)  # names of all agents: baselines and shipped policies
-
-
-@dataclass(frozen=True)
-class AgentSpec:
-    """Specification of an agent: name, policy function, and the settings of an environment that belong to the agent.
-
-    Attributes:
-        name: name in tables.
-        law: policy function from observations (b, size) to actions (b, k) between -1 and 1; None for zero actions, so
-            that only the base controller acts.
-        interface: settings in INTERFACE and the gains of the base controller, by name; None for the settings of the
-            environment in which the agent acts.
-        environment: environment of the training, without these settings; None for an agent without training.
-    """
-
-    name: str
-    law: Law | None = None
-    interface: dict[str, Any] | None = field(default_factory=dict)
-    environment: Configuration | None = None
-
-    @classmethod
-    def from_predictor(cls, model: Any, environment: Configuration | None = None) -> Self:
-        """Return the specification of an object whose method `predict` maps observations (b, size) to actions (b, n).
-
-        For a model of Stable-Baselines3, the environment of the training is the environment of the model, and
-        observations are normalised by its `VecNormalize`, if any. For any other object the observations come from the
-        environment in which it acts. Actions are clipped to [-1, 1].
-
-        Args:
-            model: the object; `predict` may also return a tuple whose first entry is the actions.
-            environment: environment of the training, for a model without an environment.
-        """
-        normaliser = getattr(model, "get_vec_normalize_env", lambda: None)()
-        venv = getattr(model, "get_env", lambda: None)()
-        if environment is None and venv is not None:
-            environment = venv.get_attr("configuration")[0]
-        bare, interface = (None, None) if environment is None else split_interface(environment)
-
-        options = {"deterministic": True}
-        try:
-            signature(model.predict).bind(None, **options)
-        except TypeError:
-            options = {}  # a `predict` without the argument `deterministic`
-
-        def law(observations: NDArray[np.float32]) -> NDArray[np.floating]:
-            inputs = observations if normaliser is None else normaliser.normalize_obs(observations)
-            outputs = model.predict(inputs, **options)
-            actions = np.asarray(outputs[0] if isinstance(outputs, tuple) else outputs, dtype=np.float32)
-            return np.clip(actions, -1, 1).reshape(len(observations), -1)
-
-        return cls(type(model).__name__, law, interface, bare)
-
-    @classmethod
-    def from_network(cls, name: str, network: Law, environment: Configuration, base_in_use: object = None) -> Self:
-        """Return the specification of an agent whose policy function is a network.
-
-        Args:
-            name: name of the agent.
-            network: policy function, from observations to actions.
-            environment: environment of the training, with the settings of the agent. Base controller and action mode
-                are designed for this environment, even if the agent is evaluated in a different one.
-            base_in_use: base controller that replaces the base controller of the training; it is designed for the
-                environment of the evaluation. None for the base controller of the training.
-        """
-        bare, interface = split_interface(environment)
-        agent = cls(name, network, interface, bare)
-        if base_in_use is None:
-            return agent.designed(environment)
-        parse_kind("base", base_in_use, BASES)
-        interface.pop("gains", None)
-        return replace(agent, interface={**interface, "base": base_in_use})
-
-    def timed(self, environment: Configuration) -> "tuple[Self, ActionClock | None]":
-        """Return the agent designed for an environment, and the clock that measures its CPU time.
-
-        The second result is None for an agent that computes nothing, such as "zero".
-        """
-        if self.interface is None or (self.law is None and "base" not in self.interface):
-            return self, None
-        designed = self.designed(environment)
-        assert designed.interface is not None
-        from flexman_gym.evaluation.action_clock import ActionClock, TimedMode
-
-        clock = ActionClock()
-        mode = TimedMode(designed.interface["actions"], clock)
-        law: Law | None = clock.timed(designed.law) if designed.law else None
-        return replace(designed, law=law, interface={**designed.interface, "actions": mode}), clock
-
-    def designed(self, environment: Configuration) -> Self:
-        """Return the agent with base controller and action mode as objects, designed for a given environment.
-
-        A controller given by its name would be designed for the environment in which the agent acts, with the delay,
-        noise, friction and ranges there. Controllers and action modes that are objects are not changed.
-        """
-        if self.interface is None:
-            return self
-        design = environment.replace(**self.interface)
-        base, mode = make_base_and_mode(design, resolve_fidelity(design).model)
-        settings = {name: value for name, value in self.interface.items() if name != "gains"}
-        return replace(self, interface={**settings, "base": base, "actions": mode})
+from flexman_gym.evaluation.agent_spec import INTERFACE, SIMPLE_AGENTS, AgentSpec, split_interface
 
 
 def find_agent(agent: object) -> AgentSpec:
     """Return the specification of an agent.
 
     Args:
-        agent: a name in BASELINES or POLICIES, a mapping as for the setting `base`, the folder of an exported policy or
-            of a training run (its best policy, or the newest one of a run without evaluations), a Controller, or an
-            object with a method `predict`, see `AgentSpec.from_predictor`.
+        agent: a name in BASELINES or of a shipped policy, a mapping as for the setting `base`, the folder of an
+            exported policy or of a training run (its best policy, or the newest one of a run without evaluations), a
+            Controller, or an object with a method `predict`, see `AgentSpec.from_predictor`.
 
     Raises:
         ValueError: for an unknown name.
@@ -164,8 +33,6 @@ def find_agent(agent: object) -> AgentSpec:
     if hasattr(agent, "predict") and not isinstance(agent, type):
         return AgentSpec.from_predictor(agent)
     name = str(agent)
-    if folder := policy_folder(name):
-        return _load_policy(folder)
     if name in BASES:
         return AgentSpec(name, None, {"base": name})
     if name == "zero":
@@ -175,73 +42,14 @@ def find_agent(agent: object) -> AgentSpec:
     if name.endswith(".zip"):
         allowed = "--trust, if you trust their author: they are pickles, which can run any code when they are read"
         raise ValueError(f"agent: the files of Stable-Baselines3 in {name} are not read; give {allowed}")
-    return _load_run(training_folder(name))
+    from flexman_gym.evaluation.trained_agents import load_agent  # controllers need no files of policies and runs
+
+    return load_agent(name)
 
 
 def is_baseline(name: str) -> bool:
     """Return True for the name of an agent that needs no training, also that of a plug-in."""
     return name in BASES or name in SIMPLE_AGENTS
-
-
-def training_folder(name: str) -> Path:
-    """Return the folder of a training run; raise an error with the names of agents if it does not exist."""
-    if not os.path.isdir(name):  # unlike Path.is_dir it accepts any string
-        raise unknown_name("agent", name, AGENTS, "the folder of a training run")
-    return Path(name)
-
-
-def _load_policy(folder: Path) -> AgentSpec:
-    """Load an exported policy without executing code; check that its sensors still have the readings of the export."""
-    metadata, network = read_policy(folder)
-    with naming(folder / METADATA):
-        environment = Configuration.from_plain(metadata["environment"])
-        if observation_layout(environment) != metadata["observation"]:
-            raise value_error("observation", metadata["observation"], "the names, units and sizes of its sensors here")
-        base_in_use = metadata["recipe"]["settings"].get("base_in_use")
-        return AgentSpec.from_network(folder.name, network, environment, base_in_use)
-
-
-def observation_layout(environment: Configuration) -> list[dict[str, Any]]:
-    """Return name, unit and size of each entry of the observation of an environment, in order and without history."""
-    venv = gym.make_vec(environment.id, 1, "vector_entry_point", **environment.keywords())
-    episodes: Any = venv.unwrapped.episodes  # type: ignore[attr-defined]
-    venv.close()
-    parts = [(name, episodes.sensors.units[name], part.stop - part.start)
-             for name, part in episodes.sensors.slices.items()]  # fmt: skip
-    parts += [(name, "1", size) for name, size in getattr(episodes.agent.mode, "observation_sizes", {}).items()]
-    return [{"name": name, "unit": unit, "size": size} for name, unit, size in parts]
-
-
-def _load_run(folder: Path) -> AgentSpec:
-    """Load the best policy of a run, or the newest if no best policy exists, without executing code of its files."""
-    settings = read_settings(folder)
-    with reading(folder / SETTINGS, NO_SETTINGS):
-        environment = Configuration.from_plain(settings["environment"])
-        algo, activation = settings["algo"], settings["hyperparameters"].get("activation")
-        base_in_use = settings.get("base_in_use")
-    if has_base_as_result(folder):
-        bare, interface = split_interface(environment)
-        kept: dict[str, Any] = {name: interface[name] for name in ("base", "gains") if name in interface}
-        kept |= {"base": base_in_use} if base_in_use else {}
-        return AgentSpec(f"{folder.name}: its base", None, kept, bare)
-    path = folder / BEST if (folder / BEST).is_file() else existing_file(folder / NEWEST)
-    data = read_npz(path)
-    check_settings(path, data, settings)
-    with naming(path):
-        network = Network(algo, activation, data.get("policy"), data.get("statistics"))
-    return AgentSpec.from_network(folder.name, network, environment, base_in_use)
-
-
-def split_interface(environment: Configuration) -> tuple[Configuration, dict[str, Any]]:
-    """Split a configuration into an environment without the settings in INTERFACE, and these settings by name.
-
-    The gains of a PD controller are in both results: a policy needs the gains of its training, and the environment
-    needs gains for the baseline "pd".
-    """
-    interface = {name: value for name, value in environment.given.items() if name in INTERFACE}
-    if environment.base == "pd":
-        interface["gains"] = environment.to_plain(strict=False)["gains"]
-    return environment.without(INTERFACE), interface
 
 
 def common_environment(
@@ -296,34 +104,3 @@ class _RandomTorques:
     def act(self, readings: Readings, applied: Array, active: BoolArray) -> Array:
         """Return torques (b, n) as fractions of the torque limits."""
         return self._random.uniform(-1.0, 1.0, applied.shape).astype(np.float32).astype(np.float64)
-
-
-CHANGEABLE_SETTINGS = ("steps", "eval_every")  # settings of a run that may change when it is resumed
-
-
-def check_settings(path: Path, data: Any, settings: Mapping[str, Any]) -> None:
-    """Raise ValueError if the settings of a run differ from the settings stored together with its network.
-
-    Args:
-        path: path of the file with the arrays of the network.
-        data: content of this file.
-        settings: current settings of the run.
-    """
-    stored = data.get("settings") if isinstance(data, dict) else None
-    if not isinstance(stored, dict):
-        raise ValueError(f"{path}: this is no file of a training run (it has no settings)")
-    with naming(path):
-        check_keys(stored)
-    names = stored.keys() - set(CHANGEABLE_SETTINGS)
-    changed = [name for name in names if not _is_equal(settings.get(name), stored.get(name))]
-    if changed:
-        allowed = f"the settings with which {path.name} was written: different now are {', '.join(sorted(changed))}"
-        raise ValueError(f"{path.parent / SETTINGS}: this was changed; give {allowed}")
-
-
-def _is_equal(setting: object, stored: object) -> bool:
-    """Return True if a setting equals the stored value; False for stored data without a truth value, such as arrays."""
-    try:
-        return bool(setting == stored)
-    except ValueError:
-        return False

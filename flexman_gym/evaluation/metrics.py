@@ -11,7 +11,7 @@ from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import one_of
 from flexman_gym.common.registry import Registry
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.evaluation.agents import AgentSpec
+from flexman_gym.evaluation.agent_spec import AgentSpec
 from flexman_gym.evaluation.rollouts import EpisodeRecord, rollout
 from flexman_gym.metrics import (
     effort,

@@ -13,12 +13,13 @@ from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
 from flexman_gym.agent.network import Network, policy_parameters
-from flexman_gym.common.checks import key_error, mapping, one_of, short_repr, value_error
+from flexman_gym.common.checks import one_of
+from flexman_gym.common.errors import key_error, short_repr, value_error
 from flexman_gym.common.files import existing_file, reading, regular_file, write_atomically
 from flexman_gym.common.run_folder import check_keys, check_method
 
 FOLDER = Path(__file__).parents[1] / "policies"
-METADATA, ARRAYS, CERTIFICATE = "policy.json", "policy.safetensors", "certificate.json"
+METADATA, ARRAYS = "policy.json", "policy.safetensors"
 POLICIES = tuple(sorted(path.parent.name for path in FOLDER.glob(f"*/{METADATA}")))
 FORMAT = "flexman_gym policy 1"
 DTYPES = ("float32", "float64")  # allowed types of arrays
@@ -28,8 +29,6 @@ KEYS = (
     "environment_hash", "settings_hash", "observation", "league", "arrays_hash",
 )  # fmt: skip
 STATISTICS, CHECKS = ("statistics.mean", "statistics.var"), ("check.observations", "check.actions")
-REQUIRED_KEYS = (("arrays_hash", str), ("fails", list), ("rows", list))  # keys of a certificate and their types
-CERTIFICATE_KEYS = (*(name for name, _ in REQUIRED_KEYS), "computer")
 CHECK_ROWS = 64  # number of observations stored with their actions as a check of the network
 CHECK_TOLERANCE = 1e-9  # dimensionless; largest difference of an action from the stored action
 
@@ -61,7 +60,8 @@ def read_policy(folder: Path) -> _ExportedPolicy:
     """
     path, wrong = existing_file(folder / METADATA), "is no exported policy"
     with reading(path, wrong):
-        metadata = _parse_metadata(_read_bytes(path))
+        metadata = read_json(path)
+        _check_metadata(metadata)
     path = existing_file(folder / ARRAYS)
     with reading(path, wrong):
         content = _read_bytes(path)
@@ -101,87 +101,25 @@ def _json_hash(data: object) -> str:
     return hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()
 
 
-def read_certificate(folder: Path) -> dict[str, Any] | None:
-    """Return the certificate (robustness report) in the folder of a policy; None if missing, or of different arrays.
-
-    Args:
-        folder: folder of the policy.
+def read_json(path: Path) -> Any:
+    """Return the data of a JSON file.
 
     Raises:
-        ValueError: for a damaged file, and for a file without the keys `arrays_hash` (hash of the network), `fails`
-            (names of failed scenarios) and `rows` (metrics of each scenario).
+        ValueError: for more than MAX_BYTES, a syntax error, a repeated key, NaN and infinity, with a one-line message.
     """
-    path = folder / CERTIFICATE
-    if not path.is_file():
-        return None
-    with reading(path, "is no certificate", (ValueError,)):
-        result = _parse_json(_read_bytes(path))
-        if isinstance(result, dict):
-            mapping("certificate", result, CERTIFICATE_KEYS)
-        if not isinstance(result, dict) or not all(isinstance(result.get(name), kind) for name, kind in REQUIRED_KEYS):
-            raise ValueError(f"give a mapping with {', '.join(name for name, _ in REQUIRED_KEYS)}")
-        if not all(isinstance(row, dict) and isinstance(row.get("scenario"), str) for row in result["rows"]):
-            raise ValueError("give rows that are mappings with a scenario")
-    return result if result["arrays_hash"] == _parse_json(_read_bytes(folder / METADATA)).get("arrays_hash") else None
-
-
-def describe_policy(name: str) -> str:
-    """Return the description of a shipped policy, its results, and the limits that it exceeds in its certificate."""
-    metadata, certificate = _parse_json(_read_bytes(FOLDER / name / METADATA)), read_certificate(FOLDER / name)
-    text, row = f"{metadata['words']} ", metadata["league"]
-    if row:
-        text += f"{row['environment']}: {row['settled']:.0%} settle, median {row['settling_time']:.2f} s, "
-        text += f"vibration {millimetres(row['vibration'])}. "
-    if certificate is None:
-        return text + "It has no certificate."
-    exceeded = [
-        f"{change}{': ' * bool(reasons)}{reasons.partition(', ')[0]}" for change, reasons in exceeded_limits(name)
-    ]
-    return text + (
-        f"Beyond its limits: {'; '.join(exceeded)}." if exceeded else "Within all limits of its certificate."
-    )
-
-
-def exceeded_limits(name: str) -> list[tuple[str, str]]:
-    """Return the changes of the environment that exceed limits in the certificate of a shipped policy.
-
-    Args:
-        name: name of the policy.
-
-    Returns:
-        Changes that are given to the controller, such as "delay=3" or "@mujoco", with the values beyond a limit and the
-        limits ("" without them); [] without a certificate.
-    """
-    certificate = read_certificate(FOLDER / name) or {"fails": [], "rows": []}
-    reasons = {row["scenario"]: str(row["fails"]) for row in certificate["rows"][::-1] if row.get("fails")}
-    changes = []
-    for fail in certificate["fails"]:
-        scenario, _, seeds = fail.partition(" on seeds ")
-        change = change_name(scenario)
-        changes.append((f"{change}, seeds {seeds}" if seeds else change, reasons.get(scenario, "")))
-    return changes
-
-
-def change_name(scenario: str) -> str:
-    """Return the change in the name of a scenario, such as "delay=3" or "@mujoco", without "+given"."""
-    where, at, plant = scenario.partition("@")
-    return at + plant or where.rpartition("/")[2].removesuffix("+given")
-
-
-def millimetres(length: float) -> str:
-    """Return a length, m, in mm with its unit; "below 0.01 mm" for small ones."""
-    if length < 1e-5:
-        return "below 0.01 mm"
-    return f"{1e3 * length:.0f} mm" if length >= 0.1 else f"{1e3 * length:.2g} mm"
+    text = _read_bytes(path)
+    try:
+        return json.loads(text.decode("utf-8"), object_pairs_hook=_unique_keys, parse_constant=_refuse_constant)
+    except RecursionError:
+        raise ValueError("mappings are nested too deeply") from None
 
 
 def _read_bytes(path: Path) -> bytes:
     return regular_file(path, MAX_BYTES).read_bytes()
 
 
-def _parse_metadata(content: bytes) -> dict[str, Any]:
-    """Return the metadata of a policy after a check of keys, format, and hashes of environment and settings."""
-    metadata = _parse_json(content)
+def _check_metadata(metadata: Any) -> None:
+    """Check keys, format, and hashes of environment and settings of the metadata of a policy."""
     if not isinstance(metadata, dict) or set(metadata) != set(KEYS):
         raise key_error("keys", sorted(metadata) if isinstance(metadata, dict) else metadata, ", ".join(KEYS))
     if metadata["format"] != FORMAT:
@@ -191,7 +129,6 @@ def _parse_metadata(content: bytes) -> dict[str, Any]:
             raise value_error(name, "data with another hash", f"the {name} of the export")
     check_keys(metadata["recipe"]["settings"])
     check_method(metadata["environment"])
-    return metadata
 
 
 def _check_network(metadata: dict[str, Any], arrays: dict[str, NDArray[np.floating]]) -> Network:
@@ -212,18 +149,6 @@ def _check_network(metadata: dict[str, Any], arrays: dict[str, NDArray[np.floati
         given = f"actions that differ by {difference:.2g} from the stored ones"
         raise value_error("check", given, f"a network whose actions differ by at most {CHECK_TOLERANCE}")
     return network
-
-
-def _parse_json(text: bytes) -> Any:
-    """Return the data of a JSON text.
-
-    Raises:
-        ValueError: for a syntax error, a repeated key, NaN and infinity, with a one-line message.
-    """
-    try:
-        return json.loads(text.decode("utf-8"), object_pairs_hook=_unique_keys, parse_constant=_refuse_constant)
-    except RecursionError:
-        raise ValueError("mappings are nested too deeply") from None
 
 
 def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

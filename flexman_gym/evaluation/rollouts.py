@@ -13,11 +13,13 @@ import numpy as np
 
 from flexman_gym.agent.controller import Controller
 from flexman_gym.common.arrays import Array, IntArray
-from flexman_gym.common.checks import value_error, whole_number
+from flexman_gym.common.checks import whole_number
+from flexman_gym.common.errors import value_error
 from flexman_gym.common.progress import Progress
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.envs.episodes import Episodes, validate_actions
-from flexman_gym.evaluation.agents import AgentSpec, find_agent, split_interface
+from flexman_gym.envs.episodes import Episodes
+from flexman_gym.evaluation.agent_spec import AgentSpec, split_interface
+from flexman_gym.evaluation.agents import find_agent
 from flexman_gym.metrics import BAND, damping_ratio
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.episode import Episode
@@ -243,8 +245,7 @@ class RolloutLoop:
     """Rollout that is advanced step by step, for programs that act between two steps; arguments as in `rollout`.
 
     Attributes:
-        episodes: simulated episodes.
-        law: control law of the agent; None for an agent that is a base controller.
+        episodes: simulated episodes, with the law of the agent.
     """
 
     def __init__(
@@ -262,8 +263,8 @@ class RolloutLoop:
         keywords = _keywords(spec, bare, interface)
         venv: Any = gym.make_vec(environment.id, len(seeds), "vector_entry_point", **keywords)
         self._venv = venv
-        self.law, self.episodes = spec.law, venv.unwrapped.episodes
-        self._size, self._seeds = venv.action_space.shape or (), [int(seed) for seed in seeds]
+        self.episodes, self._seeds = venv.unwrapped.episodes, [int(seed) for seed in seeds]
+        self.episodes.agent.set_law(spec.law)
         self.begin(callback, set_plant, options)
         self._metadata = _metadata(venv.unwrapped, spec, environment) | {"seeds": self._seeds}
 
@@ -277,7 +278,6 @@ class RolloutLoop:
         if set_plant is not None:
             set_plant(self.episodes.batch)
         self._recorder = _Recorder(self.episodes, callback)
-        self.episodes.agent.check_law(self.law)
         self._venv.reset(seed=self._seeds, options=options)
         self._recorder.begin()
         self.episodes.callback = self._recorder.record
@@ -289,12 +289,7 @@ class RolloutLoop:
 
     def step(self) -> None:
         """Simulate one action of the agent, `action_repeat` control periods; ended episodes keep their last state."""
-        law, observations = self.law, self.episodes.agent.observations
-        outputs = np.zeros(self._size) if law is None else law(observations.copy())
-        commands = np.asarray(outputs, dtype=np.float32)
-        clip = self._venv.unwrapped.configuration.clip_actions
-        allowed = "a number from -1 to 1 for each motor of each arm"
-        self.episodes.step(validate_actions("actions", commands, self._size, allowed, clip))
+        self.episodes.step()
 
     def result(self) -> Rollout:
         """Return the records of the simulated control periods, of which there must be at least one."""

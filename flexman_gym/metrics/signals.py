@@ -3,7 +3,8 @@
 import numpy as np
 
 from flexman_gym.common.arrays import Array
-from flexman_gym.common.checks import MAX_SIZE, non_negative, one_of, physical, positive, value_error
+from flexman_gym.common.checks import MAX_SIZE, non_negative, one_of, physical, positive
+from flexman_gym.common.errors import value_error
 
 
 def check_samples(name: str, values: object, *axes: int) -> Array:

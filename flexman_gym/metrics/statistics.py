@@ -10,7 +10,8 @@ from collections.abc import Callable
 import numpy as np
 
 from flexman_gym.common.arrays import Array
-from flexman_gym.common.checks import finite, positive, value_error, whole_number
+from flexman_gym.common.checks import finite, positive, whole_number
+from flexman_gym.common.errors import value_error
 from flexman_gym.metrics.signals import check_samples
 
 MAX_DRAWN = 10**8  # largest number of values in all bootstrap samples of an interval

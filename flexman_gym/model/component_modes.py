@@ -5,53 +5,15 @@ frequencies, although its torsion moves the whole outboard arm. Loaded modes the
 outboard arm, at zero joint angles, at the tip of the link.
 """
 
-from itertools import pairwise
 from typing import NamedTuple, Self
 
 import numpy as np
 
 from flexman_gym.common.arrays import Array
-from flexman_gym.common.checks import value_error
+from flexman_gym.common.errors import value_error
 from flexman_gym.model.beam import Beam
-from flexman_gym.scene.arm import Arm
 
 NEGLIGIBLE = 1e-12  # off-diagonal entry / geometric mean of its diagonal entries, below which it is a rounded zero
-
-
-def zero_pose_rotations(arm: Arm) -> Array:
-    """Return the rotations (n, 3, 3) from each beam frame to that of the inboard link (or base), at zero angles."""
-    orientations = [np.eye(3)] + [np.array(link.orientation) for link in arm.links]
-    return np.array([before.T @ after for before, after in pairwise(orientations)])
-
-
-def outboard_inertias(arm: Arm, beams: tuple[Beam, ...]) -> Array:
-    """Return the spatial inertia (n, 6, 6) of the rigid outboard arm at the tip of each link, in its beam frame.
-
-    It includes all outboard links and the payload, at zero joint angles. The linear part comes first: entries are
-    masses (kg), first moments of mass (kg m) and moments of inertia (kg m^2).
-
-    Args:
-        arm: the arm.
-        beams: its links, base to tip.
-    """
-    inertia = np.zeros((6, 6))
-    if arm.payload is not None:
-        mount = np.array(arm.links[-1].orientation).T
-        offset, central = arm.payload.offset or np.zeros(3), arm.payload.inertia or np.zeros((3, 3))
-        inertia = spatial_inertia(arm.payload.mass, mount @ offset, mount @ central @ mount.T)
-    result = np.zeros((len(beams), 6, 6))
-    rotations = zero_pose_rotations(arm)
-    for i in reversed(range(len(beams))):
-        result[i] = inertia
-        tip = _transport(np.array([arm.links[i].length, 0.0, 0.0]))
-        total = tip.T @ inertia @ tip
-        for mass, position in zip(beams[i].masses, beams[i].positions, strict=True):
-            point = _transport(position)[:3]
-            total += mass * point.T @ point
-        total[3, 3] += beams[i].polar.sum()
-        rotation = np.kron(np.eye(2), rotations[i])
-        inertia = rotation @ total @ rotation.T
-    return result
 
 
 class LoadedModes(NamedTuple):
@@ -133,25 +95,3 @@ def _uncoupled_groups(*matrices: Array) -> list[np.ndarray]:
     while not np.array_equal(group, previous):  # the lowest index of a group spreads over the group
         previous, group = group, np.where(coupled, group, len(group)).min(axis=1, initial=len(group))
     return [np.flatnonzero(group == number) for number in np.unique(group)]
-
-
-def spatial_inertia(mass: float, offset: Array, inertia: Array) -> Array:
-    """Return the spatial inertia (6, 6) of a rigid body about a reference point, linear part first (kg, kg m, kg m^2).
-
-    Args:
-        mass: kg.
-        offset: (3,) position of the centre of mass relative to the reference point, m.
-        inertia: inertia matrix (3, 3) about the centre of mass, kg m^2.
-    """
-    centre = _transport(offset)[:3]
-    result: Array = mass * centre.T @ centre
-    result[3:, 3:] += inertia
-    return result
-
-
-def _transport(offset: Array) -> Array:
-    """Return the matrix (6, 6) from the velocities (v, w) at the origin to (v + w x offset, w) at an offset (3,), m."""
-    x, y, z = offset
-    motion = np.eye(6)
-    motion[:3, 3:] = [[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]
-    return motion

@@ -7,7 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from flexman_gym.common.arrays import Array, Vector
-from flexman_gym.common.checks import finite, non_negative, number_array, value_error, vector, whole_number
+from flexman_gym.common.checks import finite, non_negative, number_array, vector, whole_number
+from flexman_gym.common.errors import value_error
 from flexman_gym.model.element import NODE_COORDINATES, Element
 from flexman_gym.model.model import Model, check_model
 

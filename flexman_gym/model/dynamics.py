@@ -9,7 +9,8 @@ from typing import TypeGuard
 import numpy as np
 
 from flexman_gym.common.arrays import Array, BoolArray, Matrix, Vector
-from flexman_gym.common.checks import check_magnitudes, flag, number_array, value_error, vector
+from flexman_gym.common.checks import check_magnitudes, flag, number_array, vector
+from flexman_gym.common.errors import value_error
 from flexman_gym.kernels import dynamics, inverse, outputs
 from flexman_gym.kernels.arguments import TangentTables, address_tables, aligned_zeros, tangent_constants
 from flexman_gym.kernels.layout import (

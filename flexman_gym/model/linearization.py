@@ -19,7 +19,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from flexman_gym.common.arrays import Array, IntArray, Vector
-from flexman_gym.common.checks import check_solvable, one_of, sequence, value_error
+from flexman_gym.common.checks import check_solvable, one_of, sequence
+from flexman_gym.common.errors import value_error
 from flexman_gym.kernels.control_period import sparse_product
 from flexman_gym.model.deformation import root_strain_matrix
 from flexman_gym.model.dynamics import (

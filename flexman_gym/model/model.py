@@ -8,13 +8,15 @@ from typing import NamedTuple
 import numpy as np
 
 from flexman_gym.common.arrays import Array, Vector
-from flexman_gym.common.checks import check_magnitudes, instance, value_error, vector, warn_caller
+from flexman_gym.common.checks import check_magnitudes, instance, vector
+from flexman_gym.common.errors import value_error, warn_caller
 from flexman_gym.kernels import layout
 from flexman_gym.kernels.layout import LANES
 from flexman_gym.model.beam import Beam, build_beam
-from flexman_gym.model.component_modes import LoadedModes, outboard_inertias, zero_pose_rotations
+from flexman_gym.model.component_modes import LoadedModes
 from flexman_gym.model.element import NODE_COORDINATES, Element
 from flexman_gym.model.joint_constants import joint_constants
+from flexman_gym.model.outboard_inertia import outboard_inertias, zero_pose_rotations
 from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.rigid_body import Payload
 from flexman_gym.scene.scene import MAX_ELEMENTS, ModelChoice, Scene

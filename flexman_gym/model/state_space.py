@@ -6,8 +6,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from flexman_gym.common.arrays import Array, Vector
-from flexman_gym.common.checks import check_solvable, non_negative, positive, sequence, value_error
+from flexman_gym.common.checks import check_solvable, non_negative, positive, sequence
 from flexman_gym.common.computer import optional_module
+from flexman_gym.common.errors import value_error
 
 SHIFT = 1e-9  # spectral shift / largest scaled stiffness; it makes K positive definite despite rigid-body modes
 ZERO_SQUARE = 1e-10  # dimensionless; squared frequency / shift, below which the frequency is a rounded zero

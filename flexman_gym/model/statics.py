@@ -7,7 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from flexman_gym.common.arrays import Array, IntArray, Matrix, Vector
-from flexman_gym.common.checks import value_error, vector
+from flexman_gym.common.checks import vector
+from flexman_gym.common.errors import value_error
 from flexman_gym.kernels import inverse, outputs
 from flexman_gym.kernels.layout import OUTPUTS, TIP, Work, make_work
 from flexman_gym.model.dynamics import elastic_forces, inertial_forces, stiffness_matrix
@@ -150,11 +151,18 @@ def holding_torques(model: Model, motor_angles: Vector) -> Array:
         array([3.621, 1.147])
     """
     angles = vector("motor_angles", motor_angles, check_model(model).n_joints, "rad")
-    x, zero = rest_state(model, angles)[: model.n_dof], np.zeros(model.n_dof)
+    return static_torques(model, rest_state(model, angles)[: model.n_dof])
+
+
+def static_torques(model: Model, coordinates: Array) -> Array:
+    """Return the motor torques (n,), N m, that hold an arm at its equilibrium coordinates (d,), see `rest_state`."""
+    angles, zero = coordinates[model.motor_columns], np.zeros(model.n_dof)
     ripple = model.constants.ripple_torque * np.sin(
         model.constants.ripple_cycles * angles + model.constants.ripple_phase
     )
-    return (inertial_forces(model)(x, zero, zero) + elastic_forces(model, x))[model.motor_columns] - ripple
+    forces = inertial_forces(model)(coordinates, zero, zero) + elastic_forces(model, coordinates)
+    result: Array = forces[model.motor_columns] - ripple
+    return result
 
 
 def rigid_holding_torques(model: Model, motor_angles: Array) -> Array:

@@ -7,16 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from flexman_gym.common.arrays import Vector
-from flexman_gym.common.checks import (
-    MAX_SIZE,
-    check_magnitudes,
-    instances,
-    non_negative,
-    set_fields,
-    value_error,
-    vector,
-    warn_caller,
-)
+from flexman_gym.common.checks import MAX_SIZE, check_magnitudes, instances, non_negative, set_fields, vector
+from flexman_gym.common.errors import value_error, warn_caller
 from flexman_gym.common.registry import load_entry
 from flexman_gym.scene.input_checks import check_keywords, warn_unusual_units
 from flexman_gym.scene.joint import Joint

@@ -1,4 +1,4 @@
-"""Rigid bodies with an inertia matrix: combination, change of axes, and the nearest matrix that a body can have.
+"""Inertia of rigid bodies: combination, change of axes, the nearest inertia matrix of a body, spatial inertia.
 
 The matrix of second moments of mass about the centre of a body is P = tr(I) / 2 - I. It is positive semidefinite for
 every distribution of mass, which is equivalent to principal moments >= 0, none of which exceeds the sum of the other
@@ -66,3 +66,25 @@ def nearest_inertia(inertia: Array) -> Array:
     moments = (axes * np.maximum(values, 0.0)) @ axes.T
     nearest: Array = np.trace(moments) * np.eye(3) - (moments + moments.T) / 2.0
     return nearest
+
+
+def spatial_inertia(mass: float, offset: Array, inertia: Array) -> Array:
+    """Return the spatial inertia (6, 6) of a rigid body about a reference point, linear part first (kg, kg m, kg m^2).
+
+    Args:
+        mass: kg.
+        offset: (3,) position of the centre of mass relative to the reference point, m.
+        inertia: inertia matrix (3, 3) about the centre of mass, kg m^2.
+    """
+    centre = offset_velocity_transform(offset)[:3]
+    result: Array = mass * centre.T @ centre
+    result[3:, 3:] += inertia
+    return result
+
+
+def offset_velocity_transform(offset: Array) -> Array:
+    """Return the matrix (6, 6) from the velocities (v, w) at the origin to (v + w x offset, w) at an offset (3,), m."""
+    x, y, z = offset
+    motion = np.eye(6)
+    motion[:3, 3:] = [[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]
+    return motion

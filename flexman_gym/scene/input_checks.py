@@ -7,7 +7,7 @@ from dataclasses import fields, replace
 from functools import wraps
 from typing import Any, TypeVar
 
-from flexman_gym.common.checks import keyword_error, nearest, warn_caller
+from flexman_gym.common.errors import keyword_error, nearest, warn_caller
 
 T = TypeVar("T")
 

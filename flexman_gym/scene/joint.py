@@ -13,9 +13,9 @@ from flexman_gym.common.checks import (
     physical,
     sequence,
     set_fields,
-    value_error,
     vector,
 )
+from flexman_gym.common.errors import value_error
 from flexman_gym.scene.input_checks import check_keywords, warn_unusual_units
 
 

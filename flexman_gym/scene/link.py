@@ -17,10 +17,9 @@ from flexman_gym.common.checks import (
     physical,
     sequence,
     set_fields,
-    value_error,
     vector,
-    warn_caller,
 )
+from flexman_gym.common.errors import value_error, warn_caller
 from flexman_gym.scene.input_checks import check_keywords, warn_unusual_units
 from flexman_gym.scene.material import find_material
 from flexman_gym.scene.rigid_body import LumpedMass

@@ -2,7 +2,8 @@
 
 from typing import NamedTuple
 
-from flexman_gym.common.checks import mapping, one_of, physical, sequence, value_error
+from flexman_gym.common.checks import mapping, one_of, physical, sequence
+from flexman_gym.common.errors import value_error
 
 
 class _Material(NamedTuple):

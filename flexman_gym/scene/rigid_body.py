@@ -6,16 +6,8 @@ from typing import Any
 import numpy as np
 
 from flexman_gym.common.arrays import Matrix, Vector
-from flexman_gym.common.checks import (
-    MAX_SIZE,
-    check_magnitudes,
-    non_negative,
-    physical,
-    sequence,
-    set_fields,
-    value_error,
-    vector,
-)
+from flexman_gym.common.checks import MAX_SIZE, check_magnitudes, non_negative, physical, sequence, set_fields, vector
+from flexman_gym.common.errors import value_error
 from flexman_gym.scene.inertia import POSSIBLE, ROUNDING, triangle_excess
 from flexman_gym.scene.input_checks import check_keywords
 

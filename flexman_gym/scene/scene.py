@@ -19,14 +19,13 @@ from flexman_gym.common.checks import (
     positive,
     sequence,
     set_fields,
-    short_path,
     text,
-    value_error,
     vector,
     whole_number,
 )
+from flexman_gym.common.errors import short_path, value_error
 from flexman_gym.common.files import read_data, write_csv, write_data
-from flexman_gym.common.markdown import text_fields
+from flexman_gym.common.formatting import text_fields
 from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.input_checks import check_keywords
 from flexman_gym.scene.serialization import find_arm, from_plain, to_plain

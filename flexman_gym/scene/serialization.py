@@ -9,17 +9,8 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from flexman_gym.common import files
-from flexman_gym.common.checks import (
-    KeywordError,
-    mapping,
-    one_of,
-    sequence,
-    short_path,
-    suggestion,
-    text,
-    value_error,
-    whole_number,
-)
+from flexman_gym.common.checks import mapping, one_of, sequence, text, whole_number
+from flexman_gym.common.errors import KeywordError, short_path, suggestion, value_error
 from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.input_checks import FOREIGN_KEYWORDS
 from flexman_gym.scene.joint import Joint, Motor

@@ -19,10 +19,10 @@ from flexman_gym.common.checks import (
     one_of,
     positive,
     set_fields,
-    value_error,
     vector,
     whole_ratio,
 )
+from flexman_gym.common.errors import value_error
 from flexman_gym.common.files import write_csv
 
 HOLDS = ("zero", "linear")

@@ -6,7 +6,8 @@ from typing import Any, NoReturn
 import numpy as np
 
 from flexman_gym.common.arrays import Array, BoolArray
-from flexman_gym.common.checks import check_magnitudes, positive, value_error, whole_number, whole_ratio
+from flexman_gym.common.checks import check_magnitudes, positive, whole_number, whole_ratio
+from flexman_gym.common.errors import value_error
 from flexman_gym.kernels import layout, outputs
 from flexman_gym.kernels.batch import advance_single
 from flexman_gym.kernels.control_period import NOT_DONE, close_period

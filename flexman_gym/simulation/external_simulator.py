@@ -15,9 +15,9 @@ import numpy as np
 from flexman_gym.common.arrays import Array, BoolArray, IntArray
 from flexman_gym.kernels import layout
 from flexman_gym.model.beam import build_beam
-from flexman_gym.model.component_modes import outboard_inertias
 from flexman_gym.model.element import NODE_COORDINATES, Element
 from flexman_gym.model.model import Model, build_model
+from flexman_gym.model.outboard_inertia import outboard_inertias
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.batch_integrators import BatchIntegrator
 from flexman_gym.simulation.physical_parameters import LINK, PARAMETERS

@@ -7,7 +7,8 @@ from functools import partial
 import numpy as np
 
 from flexman_gym.common.arrays import Array
-from flexman_gym.common.checks import one_of, positive, value_error
+from flexman_gym.common.checks import one_of, positive
+from flexman_gym.common.errors import value_error
 from flexman_gym.kernels import batch, layout, outputs, runge_kutta
 from flexman_gym.kernels.arguments import SequenceTables, address_tables, aligned_zeros
 from flexman_gym.kernels.lanes import SEQUENCES

@@ -6,7 +6,8 @@ from dataclasses import replace
 import numpy as np
 
 from flexman_gym.common.arrays import Vector
-from flexman_gym.common.checks import positive, value_error
+from flexman_gym.common.checks import positive
+from flexman_gym.common.errors import value_error
 from flexman_gym.model.dynamics import split_state
 from flexman_gym.model.friction import coulomb_torques
 from flexman_gym.model.linearization import SLIDING, continuous_model, input_columns

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from flexman_gym.common.arrays import Array, IntArray
-from flexman_gym.common.checks import value_error
+from flexman_gym.common.errors import value_error
 from flexman_gym.kernels import layout
 from flexman_gym.kernels.arguments import ELEMENTS, AllTangentTables, TangentTables, tangent_constants
 from flexman_gym.kernels.layout import ARMS_PER_GROUP, Constants, StepGrid

@@ -7,14 +7,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from flexman_gym.common.arrays import Array, BoolArray
-from flexman_gym.common.checks import (
-    MAX_SIZE,
-    is_decimal_integer,
-    number_array,
-    one_of,
-    value_error,
-    whole_number,
-)
+from flexman_gym.common.checks import MAX_SIZE, is_decimal_integer, number_array, one_of, whole_number
+from flexman_gym.common.errors import value_error
 from flexman_gym.model.joint_constants import spring_knees
 from flexman_gym.model.model import Model
 from flexman_gym.scene.arm import Arm

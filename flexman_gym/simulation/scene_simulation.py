@@ -20,11 +20,11 @@ from flexman_gym.common.checks import (
     instance,
     positive,
     sequence,
-    value_error,
     vector,
     whole_number,
     whole_ratio,
 )
+from flexman_gym.common.errors import value_error
 from flexman_gym.kernels import layout
 from flexman_gym.kernels.layout import STATUS, StepGrid
 from flexman_gym.kernels.outputs import tip_accelerations as compute_tip_accelerations

@@ -5,7 +5,8 @@ from collections.abc import Collection
 import numpy as np
 
 from flexman_gym.common.arrays import Array, Vector
-from flexman_gym.common.checks import check_magnitudes, number_array, value_error, vector
+from flexman_gym.common.checks import check_magnitudes, number_array, vector
+from flexman_gym.common.errors import value_error
 from flexman_gym.kernels import layout
 from flexman_gym.kernels.layout import STATUS
 from flexman_gym.model.model import Model

@@ -9,7 +9,8 @@ from typing import Self
 import numpy as np
 
 from flexman_gym.common.arrays import Array
-from flexman_gym.common.checks import positive, value_error, vector, whole_number
+from flexman_gym.common.checks import positive, vector, whole_number
+from flexman_gym.common.errors import value_error
 from flexman_gym.common.files import write_csv
 from flexman_gym.common.registry import load_entry
 from flexman_gym.kernels import layout

@@ -9,7 +9,7 @@ import subprocess
 import sys
 import tokenize
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from resource import RUSAGE_CHILDREN, getrusage
 from typing import Any
@@ -22,6 +22,7 @@ STUDIES = Path(__file__).with_name("evidence.yaml")
 RECORD = Path("docs/evidence/made.json")  # study -> version, minutes, and hashes of code and drawing; below the root
 CURRENT, STALE, UNKNOWN, MISSING = "current", "older than its code", "code not recorded", "missing"
 DIGITS = 12  # of a hash
+MODULES = {"flexman": "flexman_gym", "studies": "studies"}  # first word of a command -> module that runs it
 
 
 def code_text(path: Path) -> bytes:
@@ -62,6 +63,7 @@ class EvidenceStudy:
         code, drawing: files, folders or patterns that decide the rows, and how page and chart are drawn from them.
         rows, drawn: files that the commands write, and files that are drawn from the rows.
         commands: commands that make everything; `redraw` only draws; "" if there is none.
+        folder: folder of the rows of a program of `python -m studies`, relative to the root.
         minutes: CPU time, min.
     """
 
@@ -73,6 +75,7 @@ class EvidenceStudy:
     drawing: Sequence[str] = field(default=())
     drawn: Sequence[str] = field(default=())
     redraw: str = ""
+    folder: str = "docs/evidence"
 
     def rows_state(self, record: dict[str, Any], root: Path = ROOT) -> str:
         """Return the state of the rows with respect to the record of the study."""
@@ -105,8 +108,15 @@ def studies(path: Path = STUDIES) -> dict[str, EvidenceStudy]:
         for name in names:
             yield from expanded(groups[name]) if name in groups else (name,)
 
-    return {name: EvidenceStudy(name, **{**entry, "code": tuple(dict.fromkeys(expanded(entry["code"])))})
-            for name, entry in data["studies"].items()}  # fmt: skip
+    def study(name: str, options: str = "", **entry: Any) -> EvidenceStudy:
+        made = EvidenceStudy(name, **{"commands": (), **entry, "code": tuple(dict.fromkeys(expanded(entry["code"])))})
+        if made.commands:
+            return made
+        command = f"studies {name} --folder {made.folder}"
+        redraw = f"{command} --redraw" if made.drawn else ""
+        return replace(made, commands=(f"{command} {options}".rstrip(),), redraw=redraw)
+
+    return {name: study(name, **entry) for name, entry in data["studies"].items()}
 
 
 def read_record(root: Path = ROOT) -> dict[str, dict[str, Any]]:
@@ -142,5 +152,5 @@ def make(study: EvidenceStudy, root: Path = ROOT, rows: bool = True) -> None:
 
 def _run(command: str, root: Path) -> None:
     program, *arguments = shlex.split(command)
-    start = ["-m", "flexman_gym"] if program == "flexman" else [program]
+    start = ["-m", MODULES[program]] if program in MODULES else [program]
     subprocess.run([sys.executable, *start, *arguments], cwd=root, check=True)

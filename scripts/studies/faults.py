@@ -44,7 +44,7 @@ BODY = """{table}
 
 The trainings run `FlexOne-v0` with randomised payloads, delays and noise, with a checkpoint every few rollouts. *Equal*
 refers to networks, optimiser, normalisation, replay buffer, random generators and arms. Damaged caches of kernels and
-files that attempt to run code are covered by `tests/kernels/test_cache.py` and `tests/common/test_run_folder.py`."""
+files that attempt to run code are covered by `tests/kernels/test_cache.py` and `tests/agents/test_run_folder.py`."""
 
 
 @dataclass(frozen=True)

@@ -32,9 +32,17 @@ COMMENT = "# "  # prefix of a comment line in a CSV file
 WAITING = "waiting for new rows: "  # begins the reason in a comment for which the rows are no longer current
 
 
-def write_rows(rows: Sequence[Any], path: Path, digits: int = 6, comment: str = "") -> None:
-    """Write one or more rows of the same dataclass to a CSV file below an optional comment; None is an empty cell."""
-    names = [field.name for field in fields(rows[0])]
+def write_rows(rows: Sequence[Any], path: Path, digits: int = 6, comment: str = "", kind: type | None = None) -> None:
+    """Write rows of the same dataclass to a CSV file below an optional comment; None is an empty cell.
+
+    Args:
+        rows: rows; at least one, if `kind` is not given.
+        path: path of the file.
+        digits: significant digits.
+        comment: text of the first line; "" for none.
+        kind: dataclass of the rows.
+    """
+    names = [field.name for field in fields(kind or type(rows[0]))]
     with path.open("w", newline="", encoding="utf-8") as file:
         if comment:
             file.write(f"{COMMENT}{comment}\n")

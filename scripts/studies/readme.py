@@ -13,11 +13,12 @@ from flexman_gym.common.markdown import markdown_table
 from flexman_gym.envs.config.named_environments import DEFAULT_ID, NAMED_ENVIRONMENTS
 from flexman_gym.evaluation.agent_info import describe_agent
 from flexman_gym.evaluation.metrics import METRICS
-from flexman_gym.evaluation.policy_files import POLICIES, exceeded_limits
+from flexman_gym.evaluation.policy_files import POLICIES
 from flexman_gym.metrics import BAND, VIBRATION_WINDOW
 from flexman_gym.model.model import build_model
 from flexman_gym.model.vibration import modes
 from flexman_gym.scene import catalog
+from flexman_gym.toolbox.league.certificate_file import exceeded_limits
 from flexman_gym.toolbox.league.standings import Standings
 from flexman_gym.toolbox.verification.table import FAIL, PASS, VerificationRow
 from studies.benchmark.measure import BenchmarkRow

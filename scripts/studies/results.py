@@ -1,5 +1,6 @@
 """Results of agents on the test episodes, each from one stored row, so that all pages print the same number."""
 
+from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
 
@@ -22,11 +23,11 @@ class Results:
 
     Args:
         docs: folder of the documentation.
-        baselines: file of the baselines; None for that of the documentation.
+        baselines: rows of the baselines; None for those of the documentation.
     """
 
-    def __init__(self, docs: Path = DOCS, baselines: Path | None = None) -> None:
-        self._docs, self._file = docs, baselines or docs / BASELINE_FILE
+    def __init__(self, docs: Path = DOCS, baselines: Sequence[Baseline] | None = None) -> None:
+        self._docs, self._given = docs, baselines
 
     @cached_property
     def standings(self) -> Standings:
@@ -35,7 +36,8 @@ class Results:
 
     @cached_property
     def _measured(self) -> dict[tuple[str, str], Baseline]:
-        return {(row.environment, row.baseline): row for row in read_rows(self._file, Baseline)}
+        rows = read_rows(self._docs / BASELINE_FILE, Baseline) if self._given is None else self._given
+        return {(row.environment, row.baseline): row for row in rows}
 
     @property
     def long(self) -> Baseline:

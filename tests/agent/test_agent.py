@@ -33,7 +33,7 @@ def network(size, joints=2, seed=0):
 @pytest.mark.parametrize("history", [1, 3, (0.05, 0.2)])
 @pytest.mark.parametrize("base", [None, "pd"])
 def test_it_acts_as_an_agent_that_sees_and_holds_as_it_does(sensors, history, base):
-    """The agent in an environment with hold, history and base; the same agent as the base of a plain environment."""
+    """Commands of a trainer, of the law of the agent itself, and the same agent as the base of a plain environment."""
     beside = FlexManVectorEnv(3, **SETTINGS, sensors=sensors, history=history, action_repeat=4, base=base)
     size = beside.single_observation_space.shape[0]
     acting = network(size)
@@ -49,7 +49,13 @@ def test_it_acts_as_an_agent_that_sees_and_holds_as_it_does(sensors, history, ba
         seen, *_ = beside.step(acting(seen).astype(np.float32))
     for _ in range(24):
         alone.step(np.zeros((3, 2), dtype=np.float32))
-    assert np.array_equal(asked, played) and np.abs(asked).max() > 0.01
+    within, own = FlexManVectorEnv(3, **SETTINGS, sensors=sensors, history=history, action_repeat=4, base=base), []
+    within.episodes.agent.set_law(acting)
+    within.episodes.callback = lambda: own.append(within.episodes.view.action.copy())
+    within.reset(seed=3)
+    for _ in range(6):
+        within.episodes.step()
+    assert np.array_equal(asked, played) and np.array_equal(asked, own) and np.abs(asked).max() > 0.01
     if base is None:
         assert [bool(each.any()) for each in np.diff(played, axis=0)[:5]] == [False] * 3 + [True, False], "it is held"
 

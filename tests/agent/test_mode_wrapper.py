@@ -14,8 +14,6 @@ from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.evaluation.action_clock import ActionClock, TimedMode
 from flexman_gym.evaluation.agents import find_agent
 from flexman_gym.evaluation.rollouts import RolloutLoop, rollout
-from flexman_gym.toolbox.controllers.input_shaping.shaped_controller import InputShapedController
-from flexman_gym.toolbox.safety.safety_filter import SafeMode
 
 REQUIRED = tuple(name for name in vars(ActionMode) if not name.startswith("_"))
 OWN = {"safety": ("info",)}  # optional members that a wrapper has itself
@@ -50,13 +48,22 @@ class Filter:
         return actions
 
 
+def safe(mode):
+    """Return the wrapper of the safety filter."""
+    from flexman_gym.toolbox.safety.safety_filter import SafeMode
+
+    return SafeMode(mode, Filter())
+
+
 WRAPPERS = {
     "base class": (ModeWrapper, ()),
-    "safety": (lambda mode: SafeMode(mode, Filter()), MOST),
+    "safety": (safe, MOST),
     "time": (lambda mode: TimedMode(mode, ActionClock()), ()),
 }
+NAMES = ["base class", "time", pytest.param("safety", marks=pytest.mark.feature)]
 
 
+@pytest.mark.feature
 @pytest.mark.slow
 def test_optional_members_include_every_public_member_of_the_modes_of_the_library():
     modes = {type(FlexManEnv(name="FlexOne-v0", actions=name).episodes.agent.mode) for name in ("torque", "position")}
@@ -81,7 +88,7 @@ def test_optional_members_include_every_member_that_the_library_reads_from_a_mod
     assert read - {"filter", "shown"} <= {*REQUIRED, *OPTIONAL_MEMBERS}
 
 
-@pytest.mark.parametrize("wrapper", WRAPPERS)
+@pytest.mark.parametrize("wrapper", NAMES)
 def test_every_member_of_the_protocol_is_that_of_the_wrapped_mode(wrapper):
     (make, withheld), mode = WRAPPERS[wrapper], Full()
     wrapped = make(mode)
@@ -100,13 +107,14 @@ def test_every_member_of_the_protocol_is_that_of_the_wrapped_mode(wrapper):
     assert wrapped._mode is mode and "_mode" in wrapped.state_fields
 
 
-@pytest.mark.parametrize("wrapper", WRAPPERS)
+@pytest.mark.parametrize("wrapper", NAMES)
 def test_optional_members_of_a_wrapper_are_missing_where_the_wrapped_mode_has_none(wrapper):
     bare = type("Bare", (), {name: getattr(Full(), name) for name in REQUIRED})()
     wrapped = WRAPPERS[wrapper][0](bare)
     assert [name for name in OPTIONAL_MEMBERS if hasattr(wrapped, name)] == ["state_fields", *OWN.get(wrapper, ())]
 
 
+@pytest.mark.feature
 @pytest.mark.slow
 @pytest.mark.parametrize("agent", [{"safety": True, "limits": LIMITS}, {"actions": "shaping"}], ids=str)
 def test_kalman_filter_predicts_while_the_arm_moves(agent):
@@ -135,7 +143,10 @@ def test_kalman_filter_predicts_while_the_arm_moves(agent):
     assert all(changes)
 
 
+@pytest.mark.feature
 def test_input_shaping_prepares_its_inner_controller_and_has_its_estimates():
+    from flexman_gym.toolbox.controllers.input_shaping.shaped_controller import InputShapedController
+
     loop = RolloutLoop("lqg", Configuration("FlexOne-v0"), [9000])
     inner = loop.episodes.base
     shaped = InputShapedController(inner, loop.episodes.batch.model)
@@ -146,6 +157,7 @@ def test_input_shaping_prepares_its_inner_controller_and_has_its_estimates():
     assert shaped.estimates == inner.estimates
 
 
+@pytest.mark.feature
 @pytest.mark.slow
 def test_measured_times_do_not_change_an_agent_below_the_safety_filter():
     """The filter uses the estimator of the base controller, also where times are measured."""

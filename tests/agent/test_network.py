@@ -50,6 +50,7 @@ def test_layers_follow_on_each_other_by_their_numbers():
     assert result(SEEN[:, :2]) == pytest.approx(values, abs=1e-7)
 
 
+@pytest.mark.feature
 @pytest.mark.slow
 @pytest.mark.parametrize("algo", ["ppo", "sac"])
 @pytest.mark.parametrize("activation", ["tanh", "relu"])

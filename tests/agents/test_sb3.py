@@ -12,7 +12,8 @@ from flexman_agents.sb3 import (
 )
 from flexman_gym.__main__ import main
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.evaluation.agents import AgentSpec, find_agent, split_interface
+from flexman_gym.evaluation.agent_spec import AgentSpec, split_interface
+from flexman_gym.evaluation.agents import find_agent
 from flexman_gym.evaluation.rollouts import rollout
 
 from oracles.assertions import refusal

@@ -362,3 +362,11 @@ def test_one_quiet_episode_does_not_hide_one_that_rings(monkeypatch, capsys):
         monkeypatch.setattr("flexman_gym.toolbox.diagnosis.diagnosis.diagnose", lambda *_, results=results: results)
         assert main(["why", "pd", *GIVEN]) == 0
         assert capsys.readouterr().out.splitlines()[-1] == f"  remedy: {remedy}"
+
+
+@pytest.mark.parametrize(("typed", "near"), [("evaluat", "evaluate"), ("sim", "simulate"), ("bogus", None)])
+def test_command_is_suggested_where_it_is_near(typed, near, capsys):
+    with pytest.raises(SystemExit):
+        main([typed])
+    line = capsys.readouterr().err.splitlines()[-1]
+    assert (f"; the nearest is {near};" in line) if near else ("nearest" not in line)

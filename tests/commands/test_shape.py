@@ -11,8 +11,8 @@ from flexman_gym.common.files import read_data, write_csv, write_data
 from flexman_gym.common.time_series import read_time_series
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
+from flexman_gym.toolbox.controllers.excited_modes import excited_modes
 from flexman_gym.toolbox.controllers.input_shaping.joint_trajectory import read_trajectory
-from flexman_gym.toolbox.controllers.input_shaping.shapers import excited_modes
 from flexman_gym.toolbox.controllers.references.trajectories import TIMING_LAWS
 
 from oracles.files import REFERENCE

@@ -1,9 +1,8 @@
-"""Colours of lines are legible on a white and on a dark page, and transparent charts have no colour of a page."""
+"""Tests of the colours of lines: contrast on a white and on a dark page."""
 
 import pytest
 
-from flexman_gym.common.plot_style import DARK, LINK_COLOURS, SLATE, rgb, save_figure
-from studies.charts import new_chart
+from flexman_gym.common.plot_style import LINK_COLOURS, rgb
 
 DARK_PAGE = "#1e2129"  # background of the dark scheme of the site
 
@@ -26,19 +25,3 @@ def test_every_colour_of_a_line_has_a_contrast_of_three(page):
     assert contrast("#000000", "#ffffff") == pytest.approx(21.0) and len(set(LINK_COLOURS)) == 6
     for colour in LINK_COLOURS:
         assert contrast(colour, page) > 3.0, colour
-
-
-def test_a_chart_has_no_background_and_one_colour_of_text_and_is_the_same_again(tmp_path):
-    pytest.importorskip("matplotlib")
-    texts = []
-    for name in ("a", "b"):
-        figure, ((axes,),) = new_chart((3.0, 2.0))
-        axes.plot([0.0, 1.0], [0.0, 1.0], color=LINK_COLOURS[0], label="line")
-        axes.set(xlabel="time (s)", title="title")
-        axes.axhline(0.5, color=DARK)
-        axes.annotate("limit", (0.1, 0.5), color="black")
-        axes.legend()
-        texts.append(save_figure(figure, tmp_path / name / "chart.svg").read_text())
-    assert texts[0] == texts[1]
-    lower = texts[0].lower()
-    assert "#ffffff" not in lower and "#000000" not in lower and DARK not in lower and lower.count(SLATE) > 3

@@ -8,8 +8,6 @@ import flexman_gym as fm
 from flexman_gym.common import progress
 from flexman_gym.common.progress import Progress
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.toolbox.league import certificate
-from flexman_gym.toolbox.league.rows import run_league
 
 from oracles.shipped import write_still
 
@@ -47,12 +45,14 @@ def test_without_a_total_the_time_so_far_is_said_and_a_setting_silences_it(monke
     assert capsys.readouterr().err == ""
 
 
+@pytest.mark.feature
 def test_a_long_fit_says_how_far_it_is(impatient, capsys):
     fm.fit(fm.catalog.one_joint(), "joint_stiffness", frequencies=[1.3, 11.2], elements=1)
     lines = capsys.readouterr().err.splitlines()
     assert lines and all("evaluations of the fit after" in line for line in lines)
 
 
+@pytest.mark.feature
 @pytest.mark.slow
 def test_a_long_choice_says_how_far_it_is(impatient, capsys):
     choice = fm.choose_model(fm.catalog.paper_scene("rr"), tolerance=0.0123)
@@ -65,15 +65,21 @@ def test_long_episodes_say_how_far_they_are(impatient, capsys):
     assert capsys.readouterr().err.splitlines()[0].startswith("1 of 10 control periods of 2 episodes, about ")
 
 
+@pytest.mark.feature
 def test_a_long_league_says_how_far_it_is(impatient, capsys, tmp_path):
+    from flexman_gym.toolbox.league.rows import run_league
+
     run_league(["zero", "pd"], ["FlexOne-v0"], range(9000, 9001), tmp_path, log=lambda line: None)
     lines = capsys.readouterr().err.splitlines()
     assert any(line.startswith("1 of 500 control periods of 1 episodes") for line in lines)
     assert any(line.startswith("1 of 2 cells, about ") for line in lines)
 
 
+@pytest.mark.feature
 def test_a_long_certificate_says_how_far_it_is(impatient, capsys, tmp_path, monkeypatch):
     """Of each scenario, and of the search, which runs many episodes and prints nothing until its end."""
+    from flexman_gym.toolbox.league import certificate
+
     write_still(tmp_path / "still")
     monkeypatch.setattr(certificate, "_certificate_scenarios", lambda name: [name])
     monkeypatch.setattr(certificate, "worst_case", lambda *_: {})

@@ -33,6 +33,7 @@ def plugin(monkeypatch):
             del table._loaded[name]
 
 
+@pytest.mark.slow
 def test_registered_names_are_known_to_environments_agents_and_metrics(plugin):
     for kind, name, entry in (
         ("controller", "damper", "make_damper"),
@@ -73,6 +74,7 @@ def test_a_name_is_registered_once(plugin):
     assert refusal(fm.register, "controller", "damper", "arm_extras:Damper").startswith("name: 'damper'")
 
 
+@pytest.mark.feature
 @pytest.mark.parametrize("place", ["arm_extras.missing:make", "arm_extras:missing", "no_such_module:make"])
 def test_a_broken_plugin_is_named_and_does_not_disturb_others(place, plugin):
     fm.register("controller", "broken", place)
@@ -89,6 +91,7 @@ def test_files_run_no_code(plugin, tmp_path):
     assert "base: 'arm_extras:make_damper' is not allowed" in line
 
 
+@pytest.mark.slow
 def test_processes_that_are_started_later_know_registered_names(plugin):
     fm.register("controller", "damper", "arm_extras:make_damper")
     script = "import gymnasium, flexman_gym; print(gymnasium.make('FlexOne-v0', base='damper').unwrapped.episodes.base)"
@@ -106,6 +109,8 @@ def test_entry_points_are_read_when_a_name_is_not_found(monkeypatch, plugin):
     registry.plugins.cache_clear()
 
 
+@pytest.mark.feature
+@pytest.mark.slow
 def test_an_installed_package_adds_its_names(tmp_path):
     """Built and installed beside the library; the wrong and the broken entry are named and disturb nobody."""
     source = shutil.copytree(PACKAGE, tmp_path / "source")

@@ -114,6 +114,7 @@ def test_a_file_with_a_time_alone_is_refused(tmp_path):
     assert line == "a.csv: the columns: ['time', 'frame'] is not allowed; give columns beside the time"
 
 
+@pytest.mark.feature
 def test_equal_steps_interpolate_smooth_columns_by_splines_and_others_linearly(tmp_path):
     """A cubic polynomial is its own spline; a line is its own interpolation; the mean rate has no drift."""
     times = np.append(0.0, np.cumsum(0.01 * (1.0 + 0.3 * np.random.default_rng(1).uniform(-1.0, 1.0, 400))))
@@ -129,6 +130,7 @@ def test_equal_steps_interpolate_smooth_columns_by_splines_and_others_linearly(t
     assert read.outputs["motor_angle_1"] == pytest.approx(np.asarray(read.times) ** 3, rel=1e-9)
 
 
+@pytest.mark.feature
 @pytest.mark.parametrize("share", [0.0, 0.3])
 def test_ringing_of_a_file_has_the_mode_of_the_record(share, tmp_path):
     """In any unit, beside set points, with a clock that jitters and drifts."""

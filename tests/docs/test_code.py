@@ -229,3 +229,7 @@ def test_a_notebook_is_valid(notebooks):
     validate = pytest.importorskip("nbformat").validate
     for each in notebooks.values():
         validate(each)
+
+
+def test_the_page_of_keywords_is_that_of_the_table():
+    assert (ROOT / "docs" / keywords.KEYWORDS_PAGE).read_text(encoding="utf-8") == keywords.keywords_page()

@@ -8,8 +8,9 @@ import yaml
 
 import flexman_gym as fm
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
-from flexman_gym.evaluation.policy_files import POLICIES, exceeded_limits
+from flexman_gym.evaluation.policy_files import POLICIES
 from flexman_gym.toolbox.league import page
+from flexman_gym.toolbox.league.certificate_file import exceeded_limits
 from flexman_gym.toolbox.league.rows import LeagueRows
 from flexman_gym.toolbox.league.scenarios import LAB_SCENARIO
 from flexman_gym.toolbox.league.standings import Standings

@@ -16,7 +16,6 @@ from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.vector_env import FlexManVectorEnv
 from flexman_gym.model.state_space import first_order_lag
-from flexman_gym.toolbox.controllers.margins import sampled_loops
 
 from oracles.assertions import same
 
@@ -33,6 +32,7 @@ each_mode = pytest.mark.parametrize("settings", SETTINGS.values(), ids=SETTINGS)
 SHORT = {"horizon": 0.4, "limits": fm.Limits(rate=4.0)}
 
 
+@pytest.mark.feature
 @each_mode
 def test_one_environment_and_many_move_alike_to_the_bit_and_go_on_from_a_state(settings):
     ours = gym.make_vec("FlexRRR-v0", 3, "vector_entry_point", **settings, **SHORT)
@@ -52,6 +52,7 @@ def test_one_environment_and_many_move_alike_to_the_bit_and_go_on_from_a_state(s
     assert ended
 
 
+@pytest.mark.feature
 @each_mode
 def test_both_libraries_find_nothing_to_complain_about(settings):
     checker = pytest.importorskip("stable_baselines3.common.env_checker")
@@ -61,6 +62,7 @@ def test_both_libraries_find_nothing_to_complain_about(settings):
         checker.check_env(gym.make("FlexRRR-v0", **settings))
 
 
+@pytest.mark.feature
 def test_a_position_servo_comes_to_rest_where_it_is_told():
     env = FlexManEnv(name="FlexOne-v0", actions={"kind": "position", "range": 2.0}, horizon=20.0)
     env.reset(options={"start": [0.5], "goal_angles": [-0.4]})
@@ -70,6 +72,7 @@ def test_a_position_servo_comes_to_rest_where_it_is_told():
     assert env.episodes.agent.mode.names == ("position_1",)
 
 
+@pytest.mark.feature
 def test_a_velocity_servo_turns_as_fast_as_it_is_told_and_does_not_wind_up():
     env = FlexManEnv(name="FlexOne-v0", actions={"kind": "velocity", "range": [0.5]}, horizon=20.0)
     env.reset(options={"start": [-1.0], "goal_angles": [0.0]})
@@ -94,10 +97,13 @@ def test_a_velocity_servo_turns_as_fast_as_it_is_told_and_does_not_wind_up():
     )
 
 
+@pytest.mark.feature
 @pytest.mark.parametrize("late", [0, 1, 2])
 @pytest.mark.parametrize("bandwidth", [None, 8.0])
 def test_the_environment_moves_as_the_loop_says_whose_eigenvalues_are_looked_at(late, bandwidth):
     """A rigid link on a rigid joint, under a servo whose torques come late through a drive that lags."""
+    from flexman_gym.toolbox.controllers.margins import sampled_loops
+
     arm, gains = fm.catalog.one_link(rotor_inertia=0.1), {"stiffness": [2.0], "damping": [0.9]}
     env = FlexManEnv(
         name="FlexOne-v0", arm=arm, modes=0, torque_limit=50.0, actions={"kind": "position", **gains},
@@ -125,9 +131,12 @@ def test_a_lag_is_that_of_a_first_order_filter():
     assert mean == pytest.approx(quad(lambda t: np.exp(-2.0 * np.pi * 5.0 * t), 0.0, 0.02)[0] / 0.02)
 
 
+@pytest.mark.feature
 @pytest.mark.parametrize("name", NAMED_ENVIRONMENTS)
 def test_servos_of_all_environments_are_stable_under_delay_and_lag_and_cease_to_be(name):
     """With tuned gains: at the control period, and at a fifth of it with up to four of these periods of delay."""
+    from flexman_gym.toolbox.controllers.margins import sampled_loops
+
     setup = Configuration.from_keywords({"name": name})
     model, gains = resolve_fidelity(setup).model, NAMED_ENVIRONMENTS[name].pd
     stiffness, damping = np.array(gains["stiffness"]), np.array(gains["damping"])
@@ -142,6 +151,7 @@ def test_servos_of_all_environments_are_stable_under_delay_and_lag_and_cease_to_
     assert late.spectral_radius(20.0 * stiffness, 20.0 * damping) > 1.0
 
 
+@pytest.mark.feature
 def test_a_servo_that_is_not_stable_is_told():
     with pytest.warns(UserWarning, match="not stable with a period of 0.02 s"):
         FlexManEnv(actions={"kind": "position", "stiffness": [148.0] * 3, "damping": [1200.0] * 3})
@@ -178,6 +188,7 @@ def test_drives_begin_at_rest_in_every_episode():
         assert venv.episodes.view.action == pytest.approx(1.0), "what was asked for"
 
 
+@pytest.mark.feature
 def test_friction_hides_no_unstable_servo():
     """The loop that slides is as unstable as without friction, and a loop with stuck motors may be the worst."""
     plain = fm.catalog.planar_2r()

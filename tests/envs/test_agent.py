@@ -109,6 +109,7 @@ def test_it_is_many_single_environments_bit_for_bit(hold, mode, settings):
     assert all(same_side_by_side(ours, theirs, actions(3, 80))), "both ways to end were seen"
 
 
+@pytest.mark.slow
 def test_what_the_motors_of_an_arm_that_is_over_were_asked_for_stays():
     """Of three arms that end within an action, in different periods of it, each tells what an arm alone tells."""
     settings = {"action_repeat": 5, **STIFF, "limits": TIGHT, "horizon": 0.5, "task": Asking()}
@@ -128,7 +129,9 @@ def test_what_the_motors_of_an_arm_that_is_over_were_asked_for_stays():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["FlexRRR-v0", "FlexPlanar-v0", "FlexOne-v0"])
-@pytest.mark.parametrize("base", ["pd", "lqr", "lqr-tracking"])
+@pytest.mark.parametrize(
+    "base", ["pd", *(pytest.param(name, marks=pytest.mark.feature) for name in ("lqr", "lqr-tracking"))]
+)
 def test_every_base_gives_the_same_bits_to_one_arm_and_to_many(base, name):
     settings = {"base": base, "action_repeat": 2, "horizon": 0.08 if name == "FlexPlanar-v0" else 0.16}  # 4 steps
     arms = gym.make_vec(name, 2, "vector_entry_point", autoreset_mode="SameStep", **settings)
@@ -171,7 +174,10 @@ def test_a_held_action_never_reaches_the_next_episode(mode):
 SHAPED = {"base": "privileged-lqr", "actions": "shaping", "sensors": ()}  # the mode reads before the agent acts, too
 
 
-@pytest.mark.parametrize("settings", [{"base": "pd"}, SHAPED], ids=["torque", "shaping"])
+@pytest.mark.parametrize(
+    "settings",
+    [pytest.param({"base": "pd"}, id="torque"), pytest.param(SHAPED, id="shaping", marks=pytest.mark.feature)],
+)
 @pytest.mark.parametrize("hold", [1, 4])
 def test_sensors_are_read_once_a_period_at_most(hold, settings, monkeypatch):
     """Those of the agent once an action, those of the base once a period; also where an episode ends on the way."""

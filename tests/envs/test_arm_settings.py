@@ -124,6 +124,7 @@ def test_an_arm_in_place_of_that_of_a_condition_has_its_own_settings():
     assert found.derived
 
 
+@pytest.mark.feature
 def test_a_description_names_the_horizon_that_is_too_short_and_the_joint_that_hardly_holds():
     arm, _ = rod(gravity=(0.0, 0.0, -9.81), axis=(0, 1, 0), torque_limit=15.0)
     told = fm.describe(arm, "FlexOne-v0", horizon=0.3)

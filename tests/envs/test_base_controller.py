@@ -273,6 +273,7 @@ def test_actions_beyond_their_range_by_rounding_count_as_its_edge():
         assert refusal(beyond.step, np.array([number, 0.0, 0.0])).startswith("action: ")
 
 
+@pytest.mark.feature
 def test_pictures_and_metrics_are_there_without_an_import_of_their_own():
     assert callable(fm.draw.arm_frame) and callable(fm.metrics.peak_to_peak)
 

@@ -9,9 +9,8 @@ from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.infos import INFO_MODES, flat_info
 from flexman_gym.envs.vector_env import FlexManVectorEnv
-from flexman_gym.evaluation.agents import AgentSpec
+from flexman_gym.evaluation.agent_spec import AgentSpec
 from flexman_gym.kernels import layout
-from flexman_gym.toolbox.safety.safety_filter import STATUS
 
 from oracles.assertions import refusal
 from oracles.random_inputs import actions
@@ -29,6 +28,7 @@ def both(**settings):
         yield env
 
 
+@pytest.mark.feature
 @pytest.mark.parametrize("settings", [{}, {"base": "pd"}, {"action_repeat": 2}, {"actions": "position"}], ids=str)
 def test_clipped_action_has_the_effect_of_the_action_at_the_bound(settings):
     for beyond, bound in zip(both(clip_actions=True, **settings), both(**settings), strict=True):
@@ -68,8 +68,11 @@ def leaves(info, prefix=""):
             yield f"{prefix}{key}", value
 
 
+@pytest.mark.feature
 @pytest.mark.slow
 def test_flat_info_has_every_number_of_the_nested_info():
+    from flexman_gym.toolbox.safety.safety_filter import STATUS
+
     numbers = {"status": layout.STATUS.index, "safety_status": STATUS.index, "failure": bool}
     for nested, flat in zip(both(**RICH), both(infos="flat", **RICH), strict=True):
         for value in (0.1, -0.5, 0.2):

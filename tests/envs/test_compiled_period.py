@@ -117,6 +117,7 @@ def run(env, given):
             yield env.reset()
 
 
+@pytest.mark.feature
 @pytest.mark.parametrize("name", [*FAST, *SLOW])
 def test_results_equal_those_of_the_general_way(name):
     envs = both(**(FAST | SLOW)[name])

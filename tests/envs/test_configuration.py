@@ -3,7 +3,6 @@
 import json
 
 import gymnasium as gym
-import keywords
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -19,7 +18,6 @@ from flexman_gym.scene.serialization import find_arm, to_plain
 
 from oracles.assertions import refusal
 from oracles.chains import QUICK
-from oracles.files import ROOT
 
 OWN = {
     "id": "FlexPlanar-v0", "arm": {"catalog": "vertical_2r", "payload": {"mass": 0.25}}, "horizon": 0.3,
@@ -60,6 +58,7 @@ def like(setup):
 # There and back
 
 
+@pytest.mark.feature
 @pytest.mark.slow
 @settings(QUICK, max_examples=60)
 @given(st.sampled_from(sorted(NAMED_ENVIRONMENTS)), st.fixed_dictionaries({}, optional=PARTS))
@@ -186,6 +185,7 @@ def test_an_environment_parses_its_configuration_once_and_takes_one_as_it_is(par
     assert refusal(lambda: gym.make("FlexOne-v0", configuration={})).startswith("configuration: {} is not allowed")
 
 
+@pytest.mark.feature
 @pytest.mark.slow
 @pytest.mark.parametrize(("options", "count"), [([], 1), (["--env", "own.yaml", "--set", "arm.payload.mass=0.2"], 2)])
 def test_a_training_parses_its_recipe_and_an_environment_in_its_place(parsed, tmp_path, monkeypatch, options, count):
@@ -216,17 +216,15 @@ def test_a_setting_has_help_and_a_plain_form(name):
     assert getattr(again, name) == value or name == "sensors"
 
 
-def test_the_page_of_keywords_is_that_of_the_table():
-    assert (ROOT / "docs" / keywords.KEYWORDS_PAGE).read_text(encoding="utf-8") == keywords.keywords_page()
-
-
 # The same episode everywhere
 
 
+@pytest.mark.feature
 def test_the_same_file_and_seed_give_the_same_episode_everywhere(tmp_path):
     """From gym.make, gym.make_vec and an evaluation, whose records are period by period."""
     pytest.importorskip("stable_baselines3")
-    from flexman_gym.evaluation.agents import AgentSpec, common_environment, find_agent
+    from flexman_gym.evaluation.agent_spec import AgentSpec
+    from flexman_gym.evaluation.agents import common_environment, find_agent
     from flexman_gym.evaluation.rollouts import rollout
 
     files.write_data(tmp_path / "own.yaml", OWN)
@@ -248,6 +246,7 @@ def test_the_same_file_and_seed_give_the_same_episode_everywhere(tmp_path):
     assert np.array_equal(record.errors[::2], errors)
 
 
+@pytest.mark.feature
 def test_a_training_starts_with_the_episode_that_its_environment_gives():
     """The arms of a training are those of gym.make_vec with the training's seed."""
     pytest.importorskip("stable_baselines3")

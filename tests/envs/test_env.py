@@ -59,6 +59,7 @@ def full_power(steps):
     return np.ones((steps, 3), dtype=np.float32)
 
 
+@pytest.mark.feature
 @pytest.mark.parametrize("render_mode", [None, "rgb_array"])
 def test_gymnasium_finds_nothing_to_complain_about(render_mode):
     with warnings.catch_warnings():
@@ -66,6 +67,7 @@ def test_gymnasium_finds_nothing_to_complain_about(render_mode):
         check_env(gym.make("FlexRRR-v0", render_mode=render_mode).unwrapped)
 
 
+@pytest.mark.feature
 def test_stable_baselines_finds_nothing_to_complain_about():
     checker = pytest.importorskip("stable_baselines3.common.env_checker")
     with warnings.catch_warnings():
@@ -251,6 +253,7 @@ def test_the_spaces_do_not_depend_on_the_fidelity(fidelity):
     assert env.step(np.zeros(3))[4]["status"] == "ok"
 
 
+@pytest.mark.feature
 @pytest.mark.parametrize(
     ("arm", "torque_limit"), [(fm.catalog.planar_2r(), 0.2), (fm.catalog.one_link(joint_stiffness=None), 0.5)]
 )
@@ -273,6 +276,7 @@ def test_the_action_is_a_part_of_the_torque_limit():
     assert weak.simulator.state[3:6] != pytest.approx(weak.simulator.model.initial_state([0.0] * 3)[3:6])
 
 
+@pytest.mark.feature
 def test_a_control_period_is_what_a_step_takes():
     env = FlexManEnv(control_period=0.05, step=0.01, render_mode="rgb_array")
     env.reset(seed=0)
@@ -280,6 +284,7 @@ def test_a_control_period_is_what_a_step_takes():
     assert env.simulator.time == pytest.approx(0.05) and env.metadata["render_fps"] == 20
 
 
+@pytest.mark.feature
 def test_frames_show_the_arm_as_it_moves():
     env = FlexManEnv(render_mode="rgb_array", render_size=(320, 200))
     env.reset(seed=0)

@@ -114,6 +114,7 @@ def test_the_arm_holds_every_posture_of_its_task_with_a_full_payload():
     assert torques[corners.index((0.0, 0.0, 0.0)), 1:] == pytest.approx([shoulder, elbow], rel=0.02)
 
 
+@pytest.mark.slow
 def test_without_integral_action_a_pd_leaves_the_offset_that_statics_says():
     """Motors rest where stiffness x offset is the torque that holds the arm there."""
     env = FlexManEnv(name="FlexRRR-Gravity-v0", sensors="servo", horizon=60.0)

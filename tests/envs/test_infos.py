@@ -75,6 +75,7 @@ def test_the_action_that_is_told_and_seen_is_the_sum_of_agent_and_base():
     assert np.array_equal(alone.step(np.full(3, 0.25, dtype=np.float32))[-1]["action"], np.full(3, 0.25))
 
 
+@pytest.mark.feature
 @pytest.mark.slow
 def test_call_gives_what_gymnasiums_own_gives():
     ours = gym.make_vec("FlexRRR-v0", 2, "vector_entry_point", render_mode="rgb_array", render_size=(80, 60))

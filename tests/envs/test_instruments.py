@@ -264,6 +264,7 @@ SETS = {
 }  # fmt: skip
 
 
+@pytest.mark.feature
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", SETS)
 @pytest.mark.parametrize("name", ["FlexOne-v0", "FlexPlanar-Hold-v0", "FlexRRR-Gravity-v0", "FlexRRR-Track-v0"])

@@ -149,12 +149,14 @@ def test_springs_with_knees_have_the_torques_that_accelerate_the_rotors():
             assert env.episodes.view.spring_torques[arm] == pytest.approx(expected, rel=1e-9, abs=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("settings", [{"on_violation": "cost"}, {"on_violation": "record"}, {}])
 @pytest.mark.parametrize("repeat", [1, 3])
 def test_many_arms_have_the_distances_and_costs_of_single_ones(settings, repeat):
     same_alone_and_among_others("FlexRRR-v0", 25, limits=ALL | settings, action_repeat=repeat, condition="stiffness")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", tuple(AutoresetMode))
 def test_distances_and_costs_after_the_end_of_episodes_are_those_of_single_arms(mode):
     ours = FlexManVectorEnv(3, autoreset_mode=mode, limits=ALL)
@@ -300,6 +302,7 @@ STUDIES = ("FlexRRR-v0", "FlexRRR-Track-v0", "FlexRRR-Hold-v0", "FlexPlanar-v0",
            "FlexPlanar-Hold-v0")  # fmt: skip
 
 
+@pytest.mark.feature
 @pytest.mark.parametrize("name", ["FlexRRR-v0", "FlexPlanar-v0"])
 def test_half_of_the_slews_of_the_lqr_exceed_a_limit_of_the_study(name):
     rows, count = [], 40
@@ -316,6 +319,7 @@ def test_half_of_the_slews_of_the_lqr_exceed_a_limit_of_the_study(name):
     assert (np.abs(shares - 0.5) < 0.2).all(), shares
 
 
+@pytest.mark.feature
 def test_an_episode_names_the_times_of_its_violations():
     limits = {"spring_torque": 0.5, "on_violation": "record"}
     result = fm.rollout("lqr", Configuration("FlexOne-v0", {"limits": limits, "horizon": 2.0}), range(3))
@@ -330,6 +334,7 @@ def test_an_episode_names_the_times_of_its_violations():
     assert "limits" not in fm.rollout("pd", "FlexOne-v0", [0]).episode(0).about
 
 
+@pytest.mark.feature
 def test_the_rotary_joint_has_the_limits_of_its_benchmark():
     """Motor angle 1 rad, motor rate 5 rad/s, deflection 0.1 rad of the spring; 10 V; an LQR ignores the spring."""
     environment = Configuration.load(ROOT / "docs/examples/rotary_joint.yaml")
@@ -350,6 +355,7 @@ def test_the_rotary_joint_has_the_limits_of_its_benchmark():
     assert safe["settling_time"] < 1.1 * found["settling_time"] and safe["change"] > 0.0
 
 
+@pytest.mark.feature
 def test_frames_show_the_strain_over_its_limit_and_the_workspace():
     floor = {"half_space": [[0, 0, -1], 0.3]}
     limits = fm.Limits(strain=1e-5, workspace=[floor], margin={"strain": 2e-6}, on_violation="record")
@@ -365,6 +371,7 @@ def test_frames_show_the_strain_over_its_limit_and_the_workspace():
     assert painter.workspace == limits.workspace and painter.scale == pytest.approx(3.0**0.5 * 1e-5)
 
 
+@pytest.mark.feature
 def test_metrics_of_violations_are_those_of_the_states():
     limits = {"spring_torque": 1.0, "margin": {"spring_torque": 0.2}, "on_violation": "cost"}
     environment = Configuration("FlexOne-v0", {"limits": limits, "horizon": 2.0})

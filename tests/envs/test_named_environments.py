@@ -45,6 +45,7 @@ def still(space):
 # Contracts
 
 
+@pytest.mark.feature
 @pytest.mark.parametrize("name", IDS)
 def test_both_libraries_find_nothing_to_complain_about(name):
     checker = pytest.importorskip("stable_baselines3.common.env_checker")
@@ -55,6 +56,7 @@ def test_both_libraries_find_nothing_to_complain_about(name):
         checker.check_env(gym.make(name, sensors=("full", "fine"), action_repeat=5, base="pd"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", IDS)
 def test_the_vector_environment_is_many_single_ones_bit_for_bit(name):
     same_alone_and_among_others(name, horizon=1.0, sensors=("full", "fine"), action_repeat=2)

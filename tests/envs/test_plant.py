@@ -1,10 +1,13 @@
 """Plant: what a controller is told of an environment is what the environment does, and no draw."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
+from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.envs.config.plant import make_plant
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.vector_env import FlexManVectorEnv
@@ -123,3 +126,25 @@ def test_the_flaws_of_an_instrument_add_to_the_noise():
     parts = {name: (values[1] / values[0]).max() for name, values in measured.items()}
     assert parts["motor_angles"] == pytest.approx(np.sqrt(0.003**2 + 0.001**2 + 0.01**2 / 12.0))
     assert parts["joint_twists"] == pytest.approx(0.001)
+
+
+@pytest.mark.parametrize("name", ["FlexPlanar-v0", "FlexPlanar-v0/friction", "FlexRRR-v0/unmodelled", "FlexRotary-v0"])
+def test_the_arm_of_a_named_environment_has_its_period_in_every_condition(name):
+    """Controllers tuned for this arm count their times in periods of that length, whatever the period is here."""
+    id, _, condition = name.partition("/")
+    for period in (None, 0.005):
+        settings = {} if period is None else {"control_period": period}
+        plant, *_ = plant_of(id, **settings, **({"condition": condition} if condition else {}))
+        assert plant.named_period == NAMED_ENVIRONMENTS[id].control_period
+
+
+def test_an_arm_with_other_links_or_motors_has_the_period_of_no_named_environment():
+    arm = Configuration("FlexPlanar-v0").arm
+    stiffer = [replace(arm.joints[0], stiffness=2.0 * arm.joints[0].stiffness), *arm.joints[1:]]
+    for other in (
+        replace(arm, joints=stiffer),
+        replace(arm, links=[*arm.links[:1], replace(arm.links[1], length=0.6)]),
+    ):
+        gains = {"stiffness": [1.0, 1.0], "damping": [0.1, 0.1]}
+        assert plant_of(arm=other, gains=gains)[0].named_period is None
+    assert plant_of(arm=replace(arm, payload=None))[0].named_period is not None, "the payload may differ"

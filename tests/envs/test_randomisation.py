@@ -81,6 +81,7 @@ def test_draws_do_not_depend_on_what_happened_in_episodes_before():
     assert np.array_equal(*seen)
 
 
+@pytest.mark.slow
 def test_draws_lie_in_their_ranges_and_fill_them():
     env = FlexManVectorEnv(
         400, arm=RUBBING, modes=1, randomisation={Randomisation.range_name(name): span for name, span in RANGES.items()}
@@ -231,6 +232,7 @@ def test_friction_may_be_none_but_a_stiffness_not():
         fm.Randomisation(joint_stiffness_factor=(0.0, 1.0))
 
 
+@pytest.mark.slow
 def test_impulses_come_with_their_gap_and_their_size():
     """Momentum of the whole arm is hard to see; the force that the simulator was given is not."""
     period, gap = 0.02, 0.1
@@ -262,6 +264,7 @@ def test_an_impulse_pushes_the_tip():
         assert (info["tip_vibration"] > 1e-3) == (env is pushed)
 
 
+@pytest.mark.slow
 def test_noise_is_normal_with_the_drawn_deviation_and_stays_in_the_space():
     env, plain = FlexManEnv(randomisation={"sensor_noise": (0.02, 0.02)}), FlexManEnv()
     assert env.observation_space == plain.observation_space
@@ -296,6 +299,7 @@ def test_limits_are_judged_without_noise():
     assert results[0][2]
 
 
+@pytest.mark.feature
 def test_checkers_find_nothing_to_complain_about():
     with warnings.catch_warnings():
         warnings.simplefilter("error")

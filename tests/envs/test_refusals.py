@@ -80,17 +80,19 @@ SETTINGS = [  # settings of one environment and of many, and the beginning of th
      "give a mapping with stiffness (N m/rad) and"),
     ({"actions": "force"}, "actions: 'force' is not allowed; give one of torque, current, voltage, velocity, position"),
     ({"actions": "current"}, "actions: 'current' is not allowed; give current for an arm with a motor"),
-    ({"actions": "position", "base": "pd"}, "base: <flexman_gym.agent.pd.PD object at "),
-    ({"actions": {"kind": "position", "range": [1.0, 2.0]}}, "actions.range: [1.0, 2.0] is not allowed; give 3 number"),
-    ({"actions": {"kind": "velocity", "range": 0.0}}, "actions.range[0]: 0.0 is not allowed"),
-    ({"actions": {"kind": "velocity", "stiffness": [1.0]}}, "PD.damping: "),
-    ({"actions": {"kind": "velocity", "gain": 1.0}}, "actions: 'gain' is not allowed; give one of stiffness, damping"),
     ({"randomisation": 3}, "randomisation: 3 is not allowed; give a Randomisation, or a dict of its arguments"),
     ({"task": Hold(load=(2.0, 1.0))}, "Randomisation.tip_load: (2.0, 1.0) is not allowed; give a range (low, high) with"
      " low <= high"),
     *(({"reward": wrong}, "reward") for wrong in ({"tip_error": "1"}, {"tip_error": np.inf}, 3.0, "distance")),
     ({"reward": {1: 1.0}}, "a key of reward: 1 is not allowed; give a string"),
 ]  # fmt: skip
+SERVOS = [  # settings of the action modes of the toolbox, and the beginning of the message
+    ({"actions": "position", "base": "pd"}, "base: <flexman_gym.agent.pd.PD object at "),
+    ({"actions": {"kind": "position", "range": [1.0, 2.0]}}, "actions.range: [1.0, 2.0] is not allowed; give 3 number"),
+    ({"actions": {"kind": "velocity", "range": 0.0}}, "actions.range[0]: 0.0 is not allowed"),
+    ({"actions": {"kind": "velocity", "stiffness": [1.0]}}, "PD.damping: "),
+    ({"actions": {"kind": "velocity", "gain": 1.0}}, "actions: 'gain' is not allowed; give one of stiffness, damping"),
+]
 RANDOMISED = [  # ranges of physical parameters, and the beginning of the message
     ({"payload_mass": 3.0}, "Randomisation.payload_mass: 3.0 is not allowed; give a list of numbers"),
     ({"payload_mass": (3.0, 1.0)}, "Randomisation.payload_mass: (3.0, 1.0) is not allowed; give a range (low"),
@@ -184,8 +186,10 @@ FOREIGN = [  # names that settings have elsewhere, and what they are called here
 
 
 @pytest.mark.parametrize(
-    ("settings", "line"), SETTINGS + [({"randomisation": each}, line) for each, line in RANDOMISED]
-)
+    ("settings", "line"),
+    [*SETTINGS, *(({"randomisation": each}, line) for each, line in RANDOMISED),
+     *(pytest.param(*row, marks=pytest.mark.feature) for row in SERVOS)],
+)  # fmt: skip
 def test_a_setting_is_refused_by_one_environment_and_by_many(settings, line):
     for make in (FlexManEnv, lambda **settings: FlexManVectorEnv(2, **settings)):
         assert refusal(lambda make=make: make(**settings)).startswith(line)

@@ -16,7 +16,6 @@ from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.registration import CONDITIONS
 from flexman_gym.envs.vector_env import FlexManVectorEnv
 from flexman_gym.scene.serialization import find_arm
-from flexman_gym.toolbox.controllers.pd_design import design_pd
 
 from oracles.assertions import refusal
 
@@ -65,7 +64,10 @@ def test_an_arm_may_be_named_wherever_one_is_taken(tmp_path):
         assert refusal(lambda value=value: gym.make("FlexOne-v0", arm=value)).startswith(line)
 
 
+@pytest.mark.feature
 def test_gains_of_an_own_arm_are_designed_and_stored_in_its_file():
+    from flexman_gym.toolbox.controllers.pd_design import design_pd
+
     own, named = Configuration("FlexPlanar-v0", {"arm": OWN, "base": "pd"}), Configuration("FlexPlanar-v0")
     designed = design_pd(own)
     assert own.pd_gains == own.gains == designed != named.pd_gains == NAMED_ENVIRONMENTS["FlexPlanar-v0"].pd
@@ -80,6 +82,7 @@ def test_a_control_period_in_ms_is_warned_of_once():
     assert lines == ["control_period: 20 (s) is unusual, expected at most 1; wrong unit (ms)?"]
 
 
+@pytest.mark.feature
 def test_models_trajectories_and_choices_print_few_lines():
     model = fm.build_model(OWN)
     scene = fm.Scene(

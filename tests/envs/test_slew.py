@@ -29,6 +29,7 @@ def worth(*arguments, **named):
     return sum(terms(*arguments, **named).values())
 
 
+@pytest.mark.slow
 @QUICK
 @given(LENGTHS, LENGTHS, ACTIONS)
 def test_every_term_lies_in_its_range(tip_error, tip_vibration, action):

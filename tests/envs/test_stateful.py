@@ -67,6 +67,7 @@ def makers(settings):
     )
 
 
+@pytest.mark.feature
 @pytest.mark.slow
 @pytest.mark.parametrize("many", [0, 1])
 @pytest.mark.parametrize("settings", SETTINGS, ids=lambda settings: "-".join(settings) or "plain")
@@ -136,7 +137,9 @@ def test_an_environment_that_was_never_reset_has_a_state():
             "state.episodes.batch.rows: 'array (3, 46) of float64' is not allowed; give an array (3, 20) of",
         ),
         ({"randomisation": {"delay": (0, 1)}}, "state.episodes.effects: None is not allowed; give a mapping"),
-        ({"base": "lqr-tracking"}, "state.agent.base: None is not allowed; give a mapping"),
+        pytest.param(
+            {"base": "lqr-tracking"}, "state.agent.base: None is not allowed; give a mapping", marks=pytest.mark.feature
+        ),
     ],
 )
 def test_the_state_of_another_environment_is_refused_in_one_line(settings, line):

@@ -11,7 +11,6 @@ from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.tasks import Track
 from flexman_gym.envs.tasks.track import PATH_SHAPES, RAMP_FRACTION
 from flexman_gym.metrics import rms
-from flexman_gym.toolbox.controllers.references.trajectories import plan_path
 
 from oracles.assertions import refusal
 
@@ -127,8 +126,11 @@ def test_the_reward_is_one_where_the_tip_goes_with_the_target():
     assert env.task.reward_terms(view)["distance"][0] < 0.0
 
 
+@pytest.mark.feature
 def test_a_plan_that_follows_a_path_keeps_the_tip_of_the_bent_arm_on_it():
     """The planned states, with links bent by their inertia, have their tips where the arm would rest."""
+    from flexman_gym.toolbox.controllers.references.trajectories import plan_path
+
     env = FlexManEnv(name="FlexRRR-Track-v0", task=Track(path="circle"), horizon=8.0)
     env.reset(seed=3)
     view, model = env.episodes.view, env.simulator.model
@@ -149,6 +151,7 @@ def test_a_plan_that_follows_a_path_keeps_the_tip_of_the_bent_arm_on_it():
     assert slew.states[21:-21, d:] == pytest.approx(rates[20:-20], abs=2e-3), "but for the ends"
 
 
+@pytest.mark.feature
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["FlexRRR-Track-v0", "FlexPlanar-Track-v0", "FlexRRR-Hold-v0", "FlexPlanar-Hold-v0"])
 def test_nothing_a_pd_and_an_lqr_are_apart(name):

@@ -118,6 +118,7 @@ def test_what_was_returned_is_the_callers_to_keep():
             assert np.array_equal(infos[key], value), key
 
 
+@pytest.mark.feature
 def test_a_frame_for_each_arm():
     env = FlexManVectorEnv(2, render_mode="rgb_array", render_size=(160, 120))
     env.reset(seed=0)

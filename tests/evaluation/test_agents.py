@@ -13,17 +13,11 @@ from flexman_gym.envs.config.base_and_mode import make_base_and_mode
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.envs.vector_env import FlexManVectorEnv
-from flexman_gym.evaluation.agents import (
-    BASELINES,
-    AgentSpec,
-    common_environment,
-    find_agent,
-    split_interface,
-)
+from flexman_gym.evaluation.agent_spec import BASELINES, AgentSpec, split_interface
+from flexman_gym.evaluation.agents import common_environment, find_agent
 from flexman_gym.evaluation.metrics import evaluate
 from flexman_gym.evaluation.policy_files import read_policy, write_policy
 from flexman_gym.evaluation.rollouts import rollout
-from flexman_gym.toolbox.controllers.lqr import LQR, TrackingLQR
 
 from oracles.assertions import refusal
 from oracles.shipped import made_up
@@ -54,6 +48,7 @@ def run(tmp_path_factory):
     return folder
 
 
+@pytest.mark.feature
 @pytest.mark.slow
 def test_a_policy_is_evaluated_on_the_environment_that_it_was_trained_on(run):
     policy = find_agent(str(run))
@@ -73,6 +68,7 @@ def test_a_policy_is_evaluated_on_the_environment_that_it_was_trained_on(run):
         assert (record.actions[1:] != held.actions[1:]).any(), "the agent does something beside its base"
 
 
+@pytest.mark.feature
 def test_a_policy_acts_as_in_an_environment_with_its_own_hold_and_base(run):
     """What is recorded period by period is what happens in the environment of the training."""
     policy = find_agent(str(run))
@@ -89,6 +85,7 @@ def test_a_policy_acts_as_in_an_environment_with_its_own_hold_and_base(run):
     assert record.rewards.reshape(-1, 5).mean(axis=1) == pytest.approx(rewards, rel=1e-12)
 
 
+@pytest.mark.feature
 @pytest.mark.slow
 def test_a_policy_keeps_the_gains_that_it_learned_on(run):
     """Under a condition with another PD, which is the baseline beside it."""
@@ -102,6 +99,7 @@ def test_a_policy_keeps_the_gains_that_it_learned_on(run):
         assert np.array_equal(both[0].actions, both[1].actions) == (name != "pd"), "the baseline has the condition's"
 
 
+@pytest.mark.feature
 @pytest.mark.slow
 def test_baselines_run_on_the_environment_that_is_named():
     described = Configuration(
@@ -118,6 +116,7 @@ def test_baselines_run_on_the_environment_that_is_named():
     assert common_environment([find_agent("pd")], None) == Configuration()
 
 
+@pytest.mark.feature
 def test_rows_on_different_environments_are_refused_and_a_named_one_settles_it(run):
     one = find_agent(str(run))
     other = AgentSpec("other", one.law, one.interface, Configuration("FlexPlanar-v0"))
@@ -169,6 +168,7 @@ def test_a_controller_of_ones_own_is_an_agent_like_any_other():
     assert find_agent(own).name == "PD" and find_agent(own).environment is None
 
 
+@pytest.mark.feature
 def test_who_acts_brings_everything_that_it_wants_of_an_environment(run):
     """Neither base nor hold, sensors or history of a description reach an agent that has none."""
     own = {"base": "pd", "action_repeat": 3, "history": 2, "sensors": "lab"}
@@ -189,13 +189,17 @@ def test_runs_of_one_name_on_different_environments_are_refused():
     assert refusal(common_environment, both, None).startswith("agent: 'seed-0' is not allowed")
 
 
+@pytest.mark.feature
 def test_a_controller_may_act_on_fewer_arms_afterwards():
+    from flexman_gym.toolbox.controllers.lqr import LQR, TrackingLQR
+
     model = gym.make(ONE.id).unwrapped.simulator.model
     for own in (LQR(model, 0.5, 0.02), TrackingLQR(model, 0.5, 0.02)):
         many = rollout(own, ONE, range(3))
         assert np.array_equal(rollout(own, ONE, range(2)).tips, many.tips[:2])
 
 
+@pytest.mark.feature
 def test_a_policy_may_act_on_fewer_arms_afterwards(run):
     policy = find_agent(str(run))
     environment = common_environment([policy], None)
@@ -203,6 +207,7 @@ def test_a_policy_may_act_on_fewer_arms_afterwards(run):
     assert np.array_equal(rollout(policy, environment, range(2)).actions, many.actions[:2])
 
 
+@pytest.mark.feature
 def test_a_policy_refuses_what_it_was_not_trained_for(run):
     policy = find_agent(str(run))
     allowed = "a policy for FlexOne-v0, of 1 joints: it is one for FlexPlanar-v0, of 2"
@@ -225,6 +230,7 @@ def test_what_acts_nowhere_is_refused_in_one_line(tmp_path):
         find_agent(str(tmp_path))
 
 
+@pytest.mark.feature
 @pytest.mark.slow
 def test_a_policy_is_used_with_the_base_that_its_run_says(tmp_path):
     """On the estimates of an observer that is made for the environment in which it plays, with a delay there."""

@@ -56,6 +56,7 @@ def test_reward_effort_and_roughness_are_means():
     assert (result["reward"], result["effort"]) == pytest.approx((4.0, 0.4))
 
 
+@pytest.mark.slow
 def test_evaluate_is_every_figure_of_a_rollout():
     result, records = evaluate("pd", "FlexOne-v0", [1, 2, 3]), rollout("pd", "FlexOne-v0", [1, 2, 3]).records
     assert result == of(*records) and set(result) >= {"settled", "settling_time", "vibration", "error", "roughness"}

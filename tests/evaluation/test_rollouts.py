@@ -7,7 +7,7 @@ import pytest
 import flexman_gym as fm
 from flexman_gym.agent.pd import PD
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.evaluation.agents import AgentSpec
+from flexman_gym.evaluation.agent_spec import AgentSpec
 from flexman_gym.evaluation.metrics import METRICS
 from flexman_gym.evaluation.rollouts import TEST_SEEDS, rollout
 from flexman_gym.metrics import BAND
@@ -32,6 +32,7 @@ def test_other_numbers_are_refused(wrong):
     assert line.startswith("seeds: ") and "\n" not in line
 
 
+@pytest.mark.feature
 @pytest.mark.parametrize("name", ["ppo-flexplanar", "shaping-flexrrr", "lab-flexrrr"])
 def test_a_policy_of_another_arm_is_refused_by_its_name(name):
     own, other = ("FlexPlanar-v0", "FlexRRR-v0") if "planar" in name else ("FlexRRR-v0", "FlexOne-v0")
@@ -119,6 +120,7 @@ def test_a_failed_episode_is_counted_to_its_last_period():
     assert (result["effort"], result["roughness"]) == (1.0, 0.0), "full torque in all of them"
 
 
+@pytest.mark.feature
 def test_the_band_is_a_part_of_the_reach():
     """Of two links of half a metre: an episode settles in the band that the head of the table names, in mm."""
     environment = Configuration("FlexPlanar-v0", {"horizon": 3.0})
@@ -129,6 +131,7 @@ def test_the_band_is_a_part_of_the_reach():
         assert (record.errors[after:] <= record.band).all() and record.errors[after - 1] > record.band
 
 
+@pytest.mark.slow
 def test_an_environment_has_an_id_a_condition_or_a_file(tmp_path):
     (tmp_path / "one.yaml").write_text("id: FlexOne-v0\nhorizon: 0.5\n")
     assert fm.rollout("zero", str(tmp_path / "one.yaml"), [1]).lengths.tolist() == [25]

@@ -60,6 +60,7 @@ def test_allocations_do_not_depend_on_the_number_of_steps(method, step, counting
     assert step is None or evaluations == [1, 8, 64]
 
 
+@pytest.mark.slow
 def test_the_counts_detect_an_allocation(counting):
     """Check of the measurement by a kernel that makes a new array."""
     import numba

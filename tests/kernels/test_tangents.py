@@ -75,6 +75,7 @@ def computed():
     return tests, work.new_state[: len(FUNCTIONS)].copy(), tangents
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("row, name", list(enumerate(FUNCTIONS)))
 def test_tangents_follow_the_partial_derivatives(computed, row, name):
     _, found, tangents = computed

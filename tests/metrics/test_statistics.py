@@ -28,6 +28,7 @@ def test_the_interval_of_equal_values_is_that_value_also_where_it_is_infinite():
     assert median_interval(np.array([2.0])) == (2.0, 2.0, 2.0)
 
 
+@pytest.mark.slow
 @given(st.lists(st.floats(-1e6, 1e6) | st.just(np.inf), min_size=1, max_size=30))
 def test_the_median_is_within_its_interval_and_never_half_way_to_infinity(values):
     middle, low, high = median_interval(np.array(values), draws=200)
@@ -78,6 +79,7 @@ def test_the_interval_of_equal_runs_is_that_of_one_run_and_wider_where_runs_diff
         assert low < one[1] < one[2] < high and low < middle < high
 
 
+@pytest.mark.slow
 def test_the_interval_of_runs_contains_the_median_of_all_runs_about_as_often_as_it_says():
     """200 experiments of 10 runs in the same 40 episodes; run, episode and remainder are normal with deviations 1."""
     random, covered = np.random.default_rng(2), 0
@@ -97,6 +99,7 @@ def test_no_values_are_refused_in_one_line():
 NUMBERS = st.lists(st.floats(-1e3, 1e3), min_size=1, max_size=30)
 
 
+@pytest.mark.slow
 @given(NUMBERS)
 def test_the_interquartile_mean_is_the_trimmed_mean_that_rliable_takes(values):
     assert interquartile_mean(np.array(values)) == pytest.approx(trim_mean(values, 0.25), rel=1e-12, abs=1e-12)

@@ -76,6 +76,7 @@ def decay(ratio, count=2001, samples=20, phase=0.3, place=0.0):
     return place + np.exp(-ratio / np.sqrt(1 - ratio**2) * angle) * np.cos(angle + phase)
 
 
+@pytest.mark.slow
 @given(
     st.floats(0.002, 0.3), st.floats(20.0, 200.0), st.floats(0.0, 6.28), st.floats(-10.0, 10.0), st.floats(1e-6, 1e3)
 )

@@ -80,6 +80,7 @@ def test_a_load_at_the_tip_bends_twists_and_stretches_it_exactly(link, elements)
     assert close(result / np.outer(scale, scale), flexibility / np.outer(scale, scale))
 
 
+@pytest.mark.slow
 @settings(QUICK)
 @given(links, counts)
 def test_its_own_weight_bends_it_exactly(link, elements):
@@ -141,6 +142,7 @@ def test_a_mass_at_the_tip_lowers_its_frequencies(ratio, expected):
     assert beam_eigenvalues(3, ratio) == pytest.approx(expected, rel=1e-8)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("rows", "modulus"), [(0, "youngs_modulus"), (3, "shear_modulus")])
 def test_axial_and_torsional_frequencies_converge_with_second_order(rows, modulus):
     """(2 n - 1) / (4 L) sqrt(E / rho), and sqrt(G / rho) where the torsion constant is the polar moment."""
@@ -212,6 +214,7 @@ def test_another_basis_is_the_same_beam(link, elements, seed):
     assert close(reduced.tip_rotation, beam.tip_rotation @ basis)
 
 
+@pytest.mark.slow
 @settings(QUICK)
 @given(st.integers(0, 10**6), st.integers(1, 4), st.integers(1, 3))
 def test_stations_have_the_moments_of_mass_of_a_stepped_link(seed, count, elements):

@@ -9,44 +9,16 @@ from hypothesis import strategies as st
 
 import flexman_gym as fm
 from flexman_gym.model.beam import build_beam
-from flexman_gym.model.component_modes import LoadedModes, outboard_inertias, zero_pose_rotations
+from flexman_gym.model.component_modes import LoadedModes
+from flexman_gym.model.outboard_inertia import outboard_inertias
 
 from oracles.chains import QUICK, samples, slender_link
-from oracles.dense import Chain, skew
 from oracles.ritz import beam_eigenvalues
 
 
 def beams_of(sample):
     """The beams of an arm, before any reduction."""
     return tuple(map(build_beam, sample.arm.links, sample.elements, sample.flexible_links))
-
-
-@pytest.mark.slow
-@settings(QUICK)
-@given(samples())
-def test_outboard_inertia_is_a_sum_over_mass_points(sample):
-    arm = sample.arm
-    chain = Chain(arm, sample.elements, flexible_links=False)
-    masses, positions, _ = chain.points(np.zeros(chain.n_dof), np.zeros(chain.n_dof))
-    ends = np.cumsum([len(beam.masses) for beam in chain.beams])
-    inertias, tip = outboard_inertias(arm, beams_of(sample)), np.zeros(3)
-    for link, result, end in zip(arm.links, inertias, ends, strict=True):
-        frame = np.array(link.orientation)
-        tip = tip + link.length * frame[:, 0]
-        expected = np.zeros((6, 6))
-        for mass, position in zip(masses[end:], positions[end:], strict=True):
-            motion = np.hstack([np.eye(3), -skew(frame.T @ (position - tip))])
-            expected += mass * motion.T @ motion
-        assert np.allclose(result, expected, rtol=0.0, atol=1e-12 * max(1.0, np.abs(expected).max()))
-
-
-@settings(QUICK)
-@given(samples())
-def test_zero_pose_rotations_lead_to_the_orientations(sample):
-    frame = np.eye(3)
-    for turn, link in zip(zero_pose_rotations(sample.arm), sample.arm.links, strict=True):
-        frame = frame @ turn
-        assert np.allclose(frame, link.orientation, rtol=0.0, atol=1e-12)
 
 
 @pytest.mark.parametrize("ratio", [0.0, 0.1, 1.0, 5.0])
@@ -91,6 +63,7 @@ def test_loaded_modes_are_orthonormal_and_ascend(sample):
         assert np.allclose(scaled, np.eye(len(mass)), rtol=0.0, atol=1e-6)
 
 
+@pytest.mark.slow
 @settings(QUICK)
 @given(samples(most_links=1, flexible_links=True, flexible_joints=False), st.floats(1e-4, 0.9))
 def test_modal_damping_gives_every_mode_its_ratio(sample, ratio):

@@ -155,6 +155,7 @@ def test_a_torque_at_the_tip_twists_a_cantilever_by_the_right_hand():
     assert result.strains[0, :, 3] == pytest.approx(radius * twist[-1] / CURVED_LINK.length, rel=1e-9)
 
 
+@pytest.mark.slow
 @settings(QUICK, max_examples=15)
 @given(samples(most_links=3))
 def test_curvatures_and_strains_are_those_of_one_place_after_another(sample):

@@ -23,6 +23,7 @@ def saturation(ratio):
     return 2.0 / np.pi * (np.arcsin(ratio) + ratio * np.sqrt(1.0 - ratio**2)) if ratio < 1.0 else 1.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ratio", [0.1, 0.4, 0.9])
 def test_play(ratio):
     """Gelb and Vander Velde (1968), Multiple-Input Describing Functions, appendix B: a dead zone of half the gap."""
@@ -41,6 +42,7 @@ def test_progressive_spring(ratio):
     assert describing_function(joint, torque / soft / ratio) == pytest.approx(expected, rel=1e-4)
 
 
+@pytest.mark.slow
 def test_linear_limits():
     """The progressive spring has its soft stiffness at small amplitudes, and tends to the stiff one at large ones."""
     joint = fm.Joint(Z, 0.1, stiffness=100.0, stiffness_pieces=((2.0, 0.167),), knee_width=1e-7)

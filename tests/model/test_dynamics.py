@@ -234,6 +234,7 @@ def test_a_flexible_link_on_an_elastic_joint_has_its_frequencies(tip, clamped, e
     assert result[0 if clamped else 1 :][: len(expected)] == pytest.approx(expected, rel=2e-5)
 
 
+@pytest.mark.slow
 @settings(QUICK)
 @given(samples(most_links=1, flexible_links=False, flexible_joints=True))
 def test_two_masses_and_a_spring_have_their_frequency(sample):

@@ -28,6 +28,7 @@ def sticking():
     return fm.build_model(replace(arm, joints=joints), flexible_links=False, flexible_joints=False)
 
 
+@pytest.mark.slow
 @given(first=RATES, second=RATES)
 def test_torques_equal_those_of_the_kernels(first, second):
     own, rates = sticking(), np.array([first, second])

@@ -113,6 +113,7 @@ def test_a_holds_the_slopes_of_the_compiled_accelerations(sample):
     assert np.abs(forces).max() <= 1e-6 * np.abs(scale * expected).max() + 1e-9 * least
 
 
+@pytest.mark.slow
 @settings(QUICK)
 @given(samples())
 def test_the_jacobian_of_inertial_forces_has_the_identities_of_mechanics(sample):

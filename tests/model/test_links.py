@@ -135,6 +135,7 @@ def wedge_frequencies(rotary_inertia, width=0.1, root=0.2, tip=0.05, degree=14):
     return np.sqrt(eigh(stiffness, mass, eigvals_only=True)[:2])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rotary_inertia", [True, False])
 def test_a_wedge_of_many_sections_converges_with_second_order(rotary_inertia):
     exact, errors = wedge_frequencies(rotary_inertia), []
@@ -146,6 +147,7 @@ def test_a_wedge_of_many_sections_converges_with_second_order(rotary_inertia):
     assert np.log2(np.abs(errors[0] / errors[1])) == pytest.approx(2.0, abs=0.15)
 
 
+@pytest.mark.slow
 @settings(QUICK)
 @given(st.integers(0, 10**6), st.integers(2, 4), st.integers(1, 2))
 def test_at_a_step_the_curvature_is_that_of_the_outboard_section(seed, count, elements):

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 import flexman_gym as fm
-from flexman_gym.toolbox.interchange.mjcf import to_mjcf
 
 from oracles.assertions import refusal
 
@@ -104,14 +103,6 @@ REFUSED = [  # call, and the beginning of its message
         lambda: fm.inverse_dynamics(RIPPLED, *[REST] * 3),
         "model.arm.joints: 'with torque ripple' is not allowed; give mo",
     ),
-    (lambda: to_mjcf(LOOSE_GEAR.arm), "arm.joints[0]: "),
-    (lambda: to_mjcf(RIPPLED.arm), "arm.joints[0]: "),
-    (
-        lambda: to_mjcf(replace(TWO, joints=[replace(HUB, coulomb_friction=1.0, static_friction=2.0)] * 2)),
-        "arm.joints[0]",
-    ),
-    (lambda: to_mjcf("paper_rrr"), "arm: 'paper_rrr' is not allowed; give an Arm"),
-    (lambda: to_mjcf(TWO, 65), "pieces: 65 is not allowed; give a whole number from 0 to 64"),
     (lambda: fm.LumpedMass(0.0, 0.1), "LumpedMass.mass: 0.0 is not allowed; give a finite number > 0"),
     (lambda: fm.LumpedMass(1.0, -0.1), "LumpedMass.position: -0.1 is not allowed; give a finite number >= 0"),
     (lambda: fm.LumpedMass(1.0, 0.1, -np.eye(3)), "LumpedMass.inertia: "),

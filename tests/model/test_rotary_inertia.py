@@ -12,8 +12,8 @@ from scipy.linalg import eigh
 import flexman_gym as fm
 from flexman_gym.kernels import layout
 from flexman_gym.model.beam import build_beam
-from flexman_gym.model.component_modes import outboard_inertias
 from flexman_gym.model.model import scene_model
+from flexman_gym.model.outboard_inertia import outboard_inertias
 from flexman_gym.scene.link import IDENTITY
 
 from oracles.chains import QUICK, observed, random_link, samples

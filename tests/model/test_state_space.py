@@ -150,6 +150,7 @@ def control(monkeypatch):
         sys.modules["control"] = ours
 
 
+@pytest.mark.slow
 def test_solvers_of_python_control_work_on_the_scaled_form(control):
     linear = fm.linearize(MODEL, state=REST, torque=HELD, outputs=["tip", "motor_angles"])
     scaled = linear.scaled()

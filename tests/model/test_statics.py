@@ -86,6 +86,7 @@ def test_a_spring_gives_way_until_it_holds_the_weight(angle, stiffness):
     assert fm.holding_torques(model, [angle]) == pytest.approx([moment], abs=1e-9)
 
 
+@pytest.mark.slow
 @settings(QUICK, max_examples=15)
 @given(samples(most_links=4), st.integers(0, 100))
 def test_without_gravity_an_arm_rests_undeformed_and_needs_no_torques(sample, seed):

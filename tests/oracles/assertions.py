@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
 
-from flexman_gym.common.checks import short_repr
+from flexman_gym.common.errors import short_repr
 
 
 def same(result, expected, name=""):

@@ -144,7 +144,7 @@ def loud(said):
 
 def described(strange):
     """Return the odd arguments as one line."""
-    from flexman_gym.common.checks import short_repr
+    from flexman_gym.common.errors import short_repr
 
     return ", ".join(f"{name}={short_repr(value)} ({type(value).__name__})" for name, value in strange.items())
 

@@ -22,10 +22,11 @@ from flexman_gym.common.time_series import read_time_series
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation.agent_info import training_seconds
 from flexman_gym.evaluation.agents import find_agent
-from flexman_gym.evaluation.policy_files import ARRAYS, CERTIFICATE, METADATA, read_policy
-from flexman_gym.evaluation.policy_files import read_certificate as read_certificate
+from flexman_gym.evaluation.policy_files import ARRAYS, METADATA, read_policy
 from flexman_gym.simulation.episode import Episode
 from flexman_gym.toolbox.controllers.references.optimised_slews import SlewTable
+from flexman_gym.toolbox.league.certificate_file import CERTIFICATE
+from flexman_gym.toolbox.league.certificate_file import read_certificate as read_certificate
 from flexman_gym.toolbox.league.rows import LeagueRows
 from flexman_gym.toolbox.view.learning_curves import read_progress
 

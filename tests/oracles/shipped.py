@@ -15,10 +15,9 @@ import numpy as np
 from flexman_gym.agent.agent import history_length
 from flexman_gym.agent.network import Network
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.evaluation.agents import find_agent, observation_layout
+from flexman_gym.evaluation.agents import find_agent
 from flexman_gym.evaluation.policy_files import ARRAYS, CHECK_ROWS, METADATA, write_policy
-
-from oracles.mutants import bent, mangled
+from flexman_gym.evaluation.trained_agents import observation_layout
 
 DESCRIBED = Configuration.from_plain({
     "id": "FlexPlanar-v0", "base": "pd", "action_repeat": 5, "sensors": ["full", "fine"], "horizon": 1.0,
@@ -81,6 +80,8 @@ def acting(folder, contents):
 
 def mutant(random):
     """Return the files with bytes of one of them changed, or with its JSON (of arrays: the header) modified."""
+    from oracles.mutants import bent, mangled
+
     name = (METADATA, ARRAYS)[random.integers(2)]
     content = files()[name]
     if random.integers(2) == 0:

@@ -173,6 +173,7 @@ def test_the_ledger_counts_the_power_of_the_correction(method):
     assert abs(simulator.energy_residual) < 0.01 * simulator.energy_turnover
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("prescribed", [False, True])
 def test_the_arm_of_the_paper_moves_ten_times_closer_than_by_the_midpoint_rule(prescribed):
     """Steps of 2.5 ms of the flexible arm, against the Gauss method at 0.6 ms; also with a prescribed joint."""

@@ -106,6 +106,7 @@ def test_a_simulator_explains_its_failure_with_the_parameters_of_the_arm(method,
     assert simulator.explanation() == ""
 
 
+@pytest.mark.feature
 @pytest.mark.slow
 def test_a_scene_may_start_from_a_whole_state_of_its_model():
     model = fm.build_model(ARM, 1)

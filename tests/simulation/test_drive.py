@@ -131,6 +131,7 @@ def test_a_prescribed_motion_is_the_limit_of_a_heavy_rotor(model):
     np.testing.assert_allclose(truth(held, model).tip, free.tip, atol=1e-5)
 
 
+@pytest.mark.slow
 @both
 def test_a_base_that_accelerates_upward_is_gravity(model):
     lifted = replace(SCENE, base_acceleration=[fm.Signal(), fm.Signal(), fm.Signal(9.81)])

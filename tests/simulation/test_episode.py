@@ -60,6 +60,7 @@ def test_tables_have_every_number(episode, tmp_path):
     assert [float(row[heads.index("target_z (m)")]) for row in rows] == episode.targets[:, 2].tolist()
 
 
+@pytest.mark.slow
 def test_pandas_and_xarray_have_them_too(episode):
     frame = pytest.importorskip("pandas")
     assert episode.to_pandas()["torque_1 (N m)"].tolist()[1:] == episode.torques[:, 0].tolist()

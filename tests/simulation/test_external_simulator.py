@@ -138,6 +138,7 @@ def test_a_finer_model_moves_nearly_so():
     assert 1e-6 < tips.max() < 0.01 * moved.max()
 
 
+@pytest.mark.feature
 def test_mujoco_moves_nearly_so():
     """Forces on the tip, an accelerated base and parameters of the arms included."""
     pytest.importorskip("mujoco", minversion="4")
@@ -157,6 +158,7 @@ def test_mujoco_moves_nearly_so():
         assert np.abs(ends[0] - ends[1]).max() < least * np.abs(ends[0]).max(), columns
 
 
+@pytest.mark.feature
 def test_mujoco_starts_where_it_is_put():
     """Bent and moving: what is read is what was put, but for small angles, which turn one after the other there."""
     pytest.importorskip("mujoco", minversion="4")
@@ -173,6 +175,7 @@ def test_mujoco_starts_where_it_is_put():
     assert np.allclose(now.rates[0, places], rate[places], rtol=0.0, atol=2e-3 * np.abs(rate).max())
 
 
+@pytest.mark.feature
 def test_what_diverges_in_mujoco_is_a_status():
     pytest.importorskip("mujoco", minversion="4")
     from flexman_gym.toolbox.interchange.mujoco import MuJoCoSimulator

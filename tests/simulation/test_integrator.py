@@ -138,6 +138,7 @@ def test_constants_that_are_changed_between_two_calls_count(monkeypatch):
     assert np.array_equal(*ends)
 
 
+@pytest.mark.slow
 @settings(QUICK, max_examples=30)
 @given(st.sets(st.integers(1, 20), min_size=2, max_size=8))
 def test_lanes_compute_every_substep_of_any_sequences(numbers):

@@ -6,13 +6,12 @@ from importlib.util import find_spec
 
 import pytest
 
+from studies.__main__ import main
 from studies.benchmark import measure
 from studies.benchmark import page as page_of
 from studies.benchmark.endurance import ALARMS, DIVERGED, MEMORY, STEPS, WARM_MEMORY, endurance_rows, endure
 from studies.benchmark.measure import BenchmarkRow
 from studies.files import read_rows
-
-from oracles.files import command
 
 pytestmark = pytest.mark.slow
 
@@ -21,9 +20,7 @@ pytestmark = pytest.mark.slow
 def quick(tmp_path_factory):
     """Return the rows of a quick run."""
     folder = tmp_path_factory.mktemp("benchmark")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sys, "argv", ["benchmark.py", "--quick", "--folder", str(folder)])
-        command("benchmark").main()
+    assert main(["benchmark", "--quick", "--folder", str(folder)]) in (0, 1)  # so short a run measures no memory
     assert (folder / "benchmark.md").read_text(encoding="utf-8").count("| ") > 20
     return read_rows(folder / "benchmark.csv", BenchmarkRow)
 

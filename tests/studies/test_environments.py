@@ -5,22 +5,18 @@ import re
 
 import numpy as np
 import pytest
-from environments import ERROR_FILE
 
 import flexman_gym as fm
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.envs.tasks import TASKS
-from studies.environments.family import FAMILIES, family_page
-from studies.environments.gallery import gallery_page, tasks_page
-from studies.environments.measure import BASELINES, LONG_NAME, SEEDS, ModelError, accuracy, baseline_rows, run
+from studies.environments.family import FAMILIES
+from studies.environments.measure import BASELINES, LONG_NAME, SEEDS, accuracy, baseline_rows, run
 from studies.environments.text import SECTIONS, baseline_table, docstring_sections, length
-from studies.files import read_rows
 from studies.results import Results
 
 from oracles.files import ROOT
 
 PAGES = ROOT / "docs" / "environments"
-COMMAND = "python scripts/environments.py --folder docs/environments --redraw"
 
 
 @pytest.fixture(scope="module")
@@ -36,12 +32,10 @@ def test_a_task_has_the_sections_of_gymnasium_in_their_order(task):
     assert all(docstring_sections(task).values()), "none is empty"
 
 
+@pytest.mark.evidence
 @pytest.mark.parametrize("family", FAMILIES, ids=lambda family: family.file)
-def test_the_page_of_a_family_is_written_from_rows_and_begins_with_tables_of_actions_and_observations(
-    family, baselines
-):
+def test_the_page_of_a_family_begins_with_tables_of_actions_and_observations(family):
     text = (PAGES / f"{family.file}.md").read_text(encoding="utf-8")
-    assert text == family_page(family, baselines, read_rows(PAGES / ERROR_FILE, ModelError)), COMMAND
     titles = re.findall(r"^## (.*)$", text, re.MULTILINE)
     assert titles == ["Actions", "Observations", "Arm", *family.environments]
     for name in family.environments:
@@ -49,10 +43,9 @@ def test_the_page_of_a_family_is_written_from_rows_and_begins_with_tables_of_act
             assert least < (PAGES / f"{name}.{suffix}").stat().st_size < most and f"({name}.{suffix})" in text
 
 
-def test_the_gallery_shows_every_environment_and_links_to_its_section(baselines):
+@pytest.mark.evidence
+def test_the_gallery_shows_every_environment_and_links_to_its_section():
     text = (PAGES / "index.md").read_text(encoding="utf-8")
-    assert text == gallery_page(baselines), COMMAND
-    assert (PAGES / "tasks.md").read_text(encoding="utf-8") == tasks_page(), COMMAND
     links = dict(re.findall(r"\[\*\*(.*?)\*\*\]\((.*?)\)", text))
     assert list(links) == list(NAMED_ENVIRONMENTS) == [name for family in FAMILIES for name in family.environments]
     for name, link in links.items():
@@ -61,6 +54,7 @@ def test_the_gallery_shows_every_environment_and_links_to_its_section(baselines)
         assert f"]({name}.gif)]({link})" in text
 
 
+@pytest.mark.evidence
 @pytest.mark.parametrize("name", NAMED_ENVIRONMENTS)
 def test_a_moving_picture_is_480_pixels_wide_and_holds_its_last_frame(name):
     image = pytest.importorskip("PIL.Image")

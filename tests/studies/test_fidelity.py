@@ -20,6 +20,7 @@ def published():
     return read_rows(ROOT / "docs" / "evidence" / "fidelity.csv", FidelityRow)
 
 
+@pytest.mark.evidence
 def test_the_published_rows_have_the_columns_of_the_study(published):
     head = (ROOT / "docs" / "evidence" / "fidelity.csv").read_text(encoding="utf-8").splitlines()[1]
     assert head.split(",") == NAMES

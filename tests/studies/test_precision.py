@@ -10,17 +10,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-import studies.precision.page as precision
 from flexman_gym.model.model import build_model
 from flexman_gym.scene import catalog
 from flexman_gym.simulation.methods import METHODS
 from flexman_gym.simulation.scene_simulation import simulate
-from studies.files import read_rows
 from studies.methods import largest_growth
 from studies.peers.measure import CUT_MESH, CUT_MODES
 from studies.precision.measure import (
     RIGID_LINKS,
-    Floor,
     PrecisionRow,
     ReferenceSolution,
     cases,
@@ -30,6 +27,7 @@ from studies.precision.measure import (
     setbacks,
     whirl_scene,
 )
+from studies.precision.page import compute
 
 from oracles.files import REFERENCE
 
@@ -38,21 +36,19 @@ NUMBERS = st.floats(min_value=1e-6, max_value=1e6) | st.just(math.inf)
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    """Return a folder with the rows of the quick study."""
-    result = tmp_path_factory.mktemp("study")
-    precision.compute(REFERENCE, result, quick=True)
-    return result
+def measured():
+    """Return the rows of the quick study, and the errors of its reference solutions."""
+    return compute(REFERENCE, quick=True)
 
 
 @pytest.fixture(scope="module")
-def rows(folder):
-    return read_rows(folder / precision.ROWS_FILE, PrecisionRow)
+def rows(measured):
+    return measured[0]
 
 
 @pytest.fixture(scope="module")
-def floors(folder):
-    return read_rows(folder / precision.FLOORS_FILE, Floor)
+def floors(measured):
+    return measured[1]
 
 
 @pytest.mark.slow

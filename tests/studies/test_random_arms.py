@@ -9,7 +9,8 @@ from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.model.friction import frictionless
 from flexman_gym.model.state_space import discretize
 from flexman_gym.simulation.physical_parameters import varied_model
-from flexman_gym.toolbox.controllers.lqr import POSTURE_SPACING, CostWeights
+from flexman_gym.toolbox.controllers.cost_weights import NamedWeights
+from flexman_gym.toolbox.controllers.gain_table import POSTURE_SPACING
 from studies.control.random_arms import MAX_REACH, MAX_SAG, MIN_REACH, random_arm, uncertain_environment
 
 
@@ -35,12 +36,13 @@ def test_motors_hold_the_outstretched_arm_with_twice_its_payload(seed):
 
 
 def test_a_stiff_arm_under_gravity_has_a_stable_gain_where_the_balanced_riccati_equation_fails():
-    environment = Configuration.find("FlexRRR-v0").replace(**uncertain_environment(random_arm(6)))
+    settings = {**uncertain_environment(random_arm(6)), "control_period": 0.01}
+    environment = Configuration("FlexRRR-v0", settings)
     model = varied_model(frictionless(resolve_fidelity(environment).model), payload_mass=0.0)
     period, posture = environment.control_period, POSTURE_SPACING * np.array([-7.0, -3.0, -17.0])
     rest, holding = fm.rest_state(model, posture), fm.holding_torques(model, posture)
     linear = fm.linearize(model, state=rest, torque=holding)
     limits = np.array([joint.torque_limit for joint in random_arm(6).joints])
-    gain = CostWeights.default(model).gain(linear, model.motor_columns, limits, period)
+    gain = NamedWeights.of_reach(model).gain(linear, model.motor_columns, limits, period)
     transition, inputs = discretize(linear.A, linear.B, period)
     assert np.abs(np.linalg.eigvals(transition - inputs @ gain)).max() < 1.0

@@ -31,6 +31,7 @@ def results():
     return Results()
 
 
+@pytest.mark.evidence
 @pytest.mark.slow
 def test_an_agent_in_an_environment_has_one_row(results):
     own = [row for row in read_rows(DOCS / BASELINE_FILE, Baseline) if row.baseline != LONG_NAME]
@@ -74,6 +75,7 @@ PLACES = {  # quantity -> page -> pattern of its number
 }
 
 
+@pytest.mark.evidence
 @pytest.mark.parametrize("places", PLACES.values(), ids=PLACES)
 def test_a_number_is_the_same_on_all_pages(places):
     found = {page: re.search(pattern, PAGES[page], re.MULTILINE) for page, pattern in places.items()}

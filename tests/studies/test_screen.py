@@ -34,12 +34,14 @@ def test_a_page_whose_rows_wait_for_new_ones_is_marked_below_its_answer_and_in_t
     assert items == {"new": "Answer of 3 mm.", "old": f"Answer of 3 mm {MARK}."}
 
 
+@pytest.mark.evidence
 @pytest.mark.parametrize("name", [name for name in WAITS if (EVIDENCE / f"{name}.md").exists()])
 def test_a_published_page_is_marked_if_and_only_if_its_rows_wait(name):
     text = " ".join((EVIDENCE / f"{name}.md").read_text(encoding="utf-8").split())
     assert (f"*Waiting for new rows: {WAITS[name]}.*" in text) == ("Waiting for new rows" in text) == bool(WAITS[name])
 
 
+@pytest.mark.evidence
 def test_the_speed_in_the_readme_is_marked_as_its_rows_are():
     text = " ".join((ROOT / "README.md").read_text(encoding="utf-8").split())
     assert text.count("; waiting for new rows)") == 2 * bool(WAITS["benchmark"])

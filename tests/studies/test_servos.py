@@ -46,6 +46,7 @@ def test_an_environment_comes_to_rest_below_a_limit_and_not_above_it():
     assert tried.below < 0.5 < tried.above
 
 
+@pytest.mark.evidence
 def test_published_limits_are_confirmed_by_environments():
     result, rubbing = read_rows(DOCS / "servos.csv", ServoRow), read_rows(DOCS / "servos_friction.csv", FrictionRow)
     tried = [row for row in result if row.below is not None]

@@ -10,8 +10,9 @@ from scipy.linalg import block_diag, eigh
 
 import flexman_gym as fm
 from flexman_gym.model.beam import build_beam
-from flexman_gym.model.component_modes import LoadedModes, outboard_inertias
+from flexman_gym.model.component_modes import LoadedModes
 from flexman_gym.model.dynamics import stiffness_matrix
+from flexman_gym.model.outboard_inertia import outboard_inertias
 from flexman_gym.simulation.stability import amplification_factors, amplitude_range, spectral_radii, stability_limit
 from studies.files import read_rows
 from studies.methods import explicit_methods, fixed_step_methods, vibration_factor

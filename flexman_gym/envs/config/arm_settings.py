@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from flexman_gym.common.arrays import Array
-from flexman_gym.common.checks import value_error
+from flexman_gym.common.errors import value_error
 from flexman_gym.envs.limits import Limits
 from flexman_gym.model.dynamics import mass_matrix
 from flexman_gym.model.model import Model, build_model
@@ -122,16 +122,22 @@ def _slew_durations(model: Model, arm: Arm, limits: Array, slews: tuple[Array, A
     The inertia is that of motors and links without elastic deformation, in the middle of the slew.
     """
     starts, changes = slews
-    n, columns = model.n_joints, model.motor_columns
     speeds = np.array([np.inf if speed is None else speed for speed in motor_speeds(arm)])
     result = []
     for start, change, weight in zip(starts, changes, holding, strict=True):
-        mass = mass_matrix(model, rest_state(model, start + change / 2.0))
-        inertia = mass[:n, :n] + np.diag(np.where(columns != np.arange(n), np.diag(mass)[columns], 0.0))
+        inertia = slew_inertia(model, start + change / 2.0)
         free = np.maximum(TORQUE_SHARE * limits - weight, (1.0 - TORQUE_SHARE) * limits)
         by_torque = np.sqrt((PEAK_ACCELERATION * np.abs(inertia @ change) / free).max())
         result.append(max(by_torque, (PEAK_RATE * np.abs(change) / (SPEED_SHARE * speeds)).max()))
     return np.array(result)
+
+
+def slew_inertia(model: Model, posture: Array) -> Array:
+    """Return the mass matrix (n, n) of links and motors that turn together, at motor angles (n,) rad."""
+    n, columns = model.n_joints, model.motor_columns
+    mass = mass_matrix(model, rest_state(model, posture))
+    inertia: Array = mass[:n, :n] + np.diag(np.where(columns != np.arange(n), np.diag(mass)[columns], 0.0))
+    return inertia
 
 
 def motor_speeds(arm: Arm) -> list[float | None]:

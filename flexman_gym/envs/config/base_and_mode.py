@@ -6,7 +6,7 @@ from flexman_gym.agent.action_modes import ActionMode, make_action_mode
 from flexman_gym.agent.base_controllers import make_base
 from flexman_gym.agent.controller import Controller
 from flexman_gym.agent.pd import PD
-from flexman_gym.common.checks import warn_caller
+from flexman_gym.common.errors import warn_caller
 from flexman_gym.common.registry import load_entry
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS

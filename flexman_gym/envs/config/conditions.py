@@ -52,7 +52,7 @@ def condition_for_arm(id: str, condition: object, arm: Arm, torque_limit: Any = 
         settings["randomisation"] = {
             name: [float(f"{ratios[name] * each:.6g}") for each in span] if name in ratios else span
             for name, span in settings["randomisation"].items()
-            if name not in _without(arm)
+            if name not in missing_ranges(arm)
         }
     settings["arm"] = arm
     if "arm" in (of_condition := condition_settings(id, condition)):
@@ -61,8 +61,8 @@ def condition_for_arm(id: str, condition: object, arm: Arm, torque_limit: Any = 
     return settings
 
 
-def _without(arm: Arm) -> tuple[str, ...]:
-    """Return the names of ranges of springs and links that an arm does not have."""
+def missing_ranges(arm: Arm) -> tuple[str, ...]:
+    """Return the names of ranges of springs and flexible links that an arm does not have."""
     springs = any(joint.stiffness is not None and not joint.passive for joint in arm.joints)
     flexible = any(link.flexible for link in arm.links)
     return (() if springs else SPRINGS) + (() if flexible else LINKS)

@@ -7,20 +7,9 @@ from typing import Any, NoReturn, Self
 
 from flexman_gym.agent.pd import torque_limits
 from flexman_gym.common import files
-from flexman_gym.common.checks import (
-    key_error,
-    keyword_error,
-    mapping,
-    nearest,
-    one_of,
-    positive,
-    sequence,
-    text,
-    unknown_name,
-    value_error,
-    vector,
-)
-from flexman_gym.common.markdown import text_fields
+from flexman_gym.common.checks import mapping, one_of, positive, sequence, text, vector
+from flexman_gym.common.errors import key_error, keyword_error, nearest, unknown_name, value_error
+from flexman_gym.common.formatting import text_fields
 from flexman_gym.common.registry import load_entry
 from flexman_gym.envs.config.arm_settings import derived_settings
 from flexman_gym.envs.config.conditions import condition_for_arm
@@ -376,6 +365,11 @@ class Configuration(EnvironmentSettings):
         return max(1, round(self.horizon / self.control_period))
 
     @property
+    def has_named_motors(self) -> bool:
+        """True for an arm with the links and motors of the named environment; payload and friction may differ."""
+        return _tuned_parts(self.arm) == _tuned_parts(NAMED_ENVIRONMENTS[self.id].arm)
+
+    @property
     def pd_gains(self) -> Gains:
         """PD gains by name: the setting gains, by default those of the named environment, or designed for another arm.
 
@@ -385,7 +379,7 @@ class Configuration(EnvironmentSettings):
             ValueError: without the setting, for such an arm if no gains have stability margins at the control period.
         """
         named, gains = NAMED_ENVIRONMENTS[self.id], self.gains
-        if gains is None and _tuned_parts(self.arm) != _tuned_parts(named.arm):
+        if gains is None and not self.has_named_motors:
             if self._given.get("settings") == "named":
                 allowed = f"those of this arm, which flexman optimise gains finds: {self.id} has other links or motors"
                 raise value_error("gains", None, allowed)
@@ -464,5 +458,5 @@ def _set_entry(data: dict[str, Any], path: list[str], value: object) -> None:
 
 
 def _tuned_parts(arm: Arm) -> tuple[object, ...]:
-    """Return the properties of an arm on which tuned PD gains depend."""
+    """Return the properties of an arm on which controllers that are tuned for it depend."""
     return arm.links, [(joint.axis, joint.rotor_inertia, joint.stiffness) for joint in arm.joints]

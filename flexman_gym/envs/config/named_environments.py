@@ -5,7 +5,8 @@ from pathlib import Path
 from typing import Any, Self
 
 from flexman_gym.common import files
-from flexman_gym.common.checks import mapping, one_of, value_error
+from flexman_gym.common.checks import mapping, one_of
+from flexman_gym.common.errors import value_error
 from flexman_gym.envs.limits import Limits
 from flexman_gym.envs.registration import CONDITION_FOLDER, ENVIRONMENT_FOLDER, IDS, NOMINAL
 from flexman_gym.envs.tasks import Slew, Task, find_task, plain_task

@@ -30,7 +30,7 @@ def make_plant(configuration: Configuration, model: Model) -> Plant:
     """
     ranges = configuration.disturbances.ranges if configuration.disturbances else {}
     fewest, most = ranges.get("delay", (0, 0))
-    longest_step = NAMED_ENVIRONMENTS[configuration.id].longest_step
+    named = NAMED_ENVIRONMENTS[configuration.id]
     return Plant(
         model,
         configuration.torque_limit,
@@ -42,10 +42,12 @@ def make_plant(configuration: Configuration, model: Model) -> Plant:
             if name in PARAMETERS.keys() - UNMODELLED
         },
         (int(fewest), int(most)),
-        (configuration.method, configuration.step or default_step(configuration.control_period, longest_step)),
+        (configuration.method, configuration.step or default_step(configuration.control_period, named.longest_step)),
         float(ranges.get("tip_load", (0.0, 0.0))[1]),
         lambda: _measurement_errors(configuration, model),
         configuration.drive_bandwidth,
+        configuration.limits.rate,
+        named.control_period if configuration.has_named_motors else None,
     )
 
 

@@ -2,7 +2,8 @@
 
 from typing import Any
 
-from flexman_gym.common.checks import keyword_error, non_negative, positive, suggestion, value_error, vector
+from flexman_gym.common.checks import non_negative, positive, vector
+from flexman_gym.common.errors import keyword_error, suggestion, value_error
 from flexman_gym.envs.effects import SIGNALS, Range
 from flexman_gym.simulation.physical_parameters import PARAMETERS
 

@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 
 from flexman_gym.common.arrays import Array
-from flexman_gym.common.checks import one_of, sequence, value_error, vector
+from flexman_gym.common.checks import one_of, sequence, vector
+from flexman_gym.common.errors import value_error
 from flexman_gym.envs.view import View
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.physical_parameters import PARAMETERS

@@ -11,17 +11,8 @@ from flexman_gym.agent.action_modes import ACTIONS, ActionMode
 from flexman_gym.agent.agent import MAX_HISTORY
 from flexman_gym.agent.base_controllers import BASES, parse_kind
 from flexman_gym.agent.controller import checked_controller
-from flexman_gym.common.checks import (
-    finite,
-    flag,
-    one_of,
-    physical,
-    positive,
-    sequence,
-    text,
-    value_error,
-    whole_number,
-)
+from flexman_gym.common.checks import finite, flag, one_of, physical, positive, sequence, text, whole_number
+from flexman_gym.common.errors import value_error
 from flexman_gym.envs.config.randomisation import Randomisation
 from flexman_gym.envs.limits import Limits
 from flexman_gym.envs.sensors import find_sensors, plain_sensors

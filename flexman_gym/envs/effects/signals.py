@@ -5,7 +5,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from flexman_gym.common.arrays import Array, BoolArray, IntArray
-from flexman_gym.common.checks import finite, non_negative, positive, value_error, whole_number
+from flexman_gym.common.checks import finite, non_negative, positive, whole_number
+from flexman_gym.common.errors import value_error
 from flexman_gym.common.registry import Registry
 from flexman_gym.envs.effects.effect import EffectContext, Range
 from flexman_gym.envs.random_streams import TruncatedNoise

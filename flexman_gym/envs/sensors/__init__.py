@@ -4,7 +4,8 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
-from flexman_gym.common.checks import mapping, one_of, text, value_error
+from flexman_gym.common.checks import mapping, one_of, text
+from flexman_gym.common.errors import value_error
 from flexman_gym.common.registry import Registry
 from flexman_gym.envs.sensors.flaws import FLAWS, Flaws
 from flexman_gym.envs.sensors.ideal import (

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 from flexman_gym.common.arrays import Array
-from flexman_gym.common.checks import non_negative, set_fields, value_error, whole_number
+from flexman_gym.common.checks import non_negative, set_fields, whole_number
+from flexman_gym.common.errors import value_error
 from flexman_gym.common.units import UNITS, find_unit
 
 MIN_QUANTISATION = 1e-12  # fraction of the range; smallest quantisation step

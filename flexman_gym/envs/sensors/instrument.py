@@ -6,7 +6,7 @@ from typing import Any, Self
 import numpy as np
 
 from flexman_gym.common.arrays import Array, IntArray
-from flexman_gym.common.checks import value_error
+from flexman_gym.common.errors import value_error
 from flexman_gym.envs.limits import Limits
 from flexman_gym.envs.random_streams import TruncatedNoise
 from flexman_gym.envs.sensors.flaws import AMOUNTS, FLAWS, Flaws

@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 
 from flexman_gym.common.arrays import Array, IntArray
-from flexman_gym.common.checks import check_member_names, value_error
+from flexman_gym.common.checks import check_member_names
+from flexman_gym.common.errors import value_error
 from flexman_gym.envs.limits import Limits
 from flexman_gym.envs.random_streams import RandomStreams
 from flexman_gym.envs.sensors.instrument import Instrument

@@ -4,7 +4,8 @@ from dataclasses import asdict, fields, is_dataclass
 from inspect import signature
 from typing import Any
 
-from flexman_gym.common.checks import check_member_names, mapping, one_of, text, value_error
+from flexman_gym.common.checks import check_member_names, mapping, one_of, text
+from flexman_gym.common.errors import value_error
 from flexman_gym.common.registry import Registry
 from flexman_gym.envs.tasks.hold import Hold
 from flexman_gym.envs.tasks.slew import Slew

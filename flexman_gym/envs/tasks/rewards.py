@@ -9,7 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from flexman_gym.common.arrays import Array
-from flexman_gym.common.checks import mapping, short_repr
+from flexman_gym.common.checks import mapping
+from flexman_gym.common.errors import short_repr
 from flexman_gym.envs.view import Number, View
 from flexman_gym.kernels import control_period as kernels
 

@@ -7,7 +7,8 @@ from typing import ClassVar
 import numpy as np
 
 from flexman_gym.common.arrays import Array, Vector
-from flexman_gym.common.checks import non_negative, one_of, positive, sequence, set_fields, value_error, vector
+from flexman_gym.common.checks import non_negative, one_of, positive, sequence, set_fields, vector
+from flexman_gym.common.errors import value_error
 from flexman_gym.envs.limits import Limits
 from flexman_gym.envs.sensors.sensor import Entry, Sensor
 from flexman_gym.envs.tasks.rewards import distance_reward

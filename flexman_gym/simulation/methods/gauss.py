@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexman_gym.common.arrays import Array
-from flexman_gym.common.checks import finite, value_error, whole_number
+from flexman_gym.common.checks import finite, whole_number
+from flexman_gym.common.errors import value_error
 from flexman_gym.kernels.implicit import DIAGONAL, FROZEN_ITERATIONS, GAUSS_NODE, LOWER, RELAXATION, REMAINDER
 from flexman_gym.kernels.layout import step_method
 from flexman_gym.simulation.methods.coefficients import LINEARLY_IMPLICIT, eigenvalues, matrices

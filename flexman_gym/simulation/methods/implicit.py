@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexman_gym.common.arrays import Array
-from flexman_gym.common.checks import finite, positive, value_error
+from flexman_gym.common.checks import finite, positive
+from flexman_gym.common.errors import value_error
 from flexman_gym.kernels.layout import GeneralisedAlpha, step_method
 from flexman_gym.simulation.methods.coefficients import IMPLICIT, eigenvalues, matrices
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from flexman_gym.agent.controller import Plant
 from flexman_gym.common.arrays import Array, IntArray
-from flexman_gym.common.checks import value_error
+from flexman_gym.common.errors import value_error
 from flexman_gym.model.friction import (
     friction_coefficients,
     frictionless,

@@ -18,15 +18,17 @@ import numpy as np
 from flexman_gym.agent.base_controllers import ControllerEntry
 from flexman_gym.agent.controller import EpisodeInfo, Plant, Readings
 from flexman_gym.common.arrays import Array, BoolArray, IntArray, pad_rows, row_dots
-from flexman_gym.common.checks import positive, value_error
+from flexman_gym.common.checks import positive
 from flexman_gym.common.computer import optional_module
+from flexman_gym.common.errors import value_error
 from flexman_gym.model.friction import friction_torques, frictionless
 from flexman_gym.model.model import Model
 from flexman_gym.model.state_space import LinearModel, discretize
 from flexman_gym.model.statics import holding_torques, rest_state
 from flexman_gym.simulation.linearization import linearize
 from flexman_gym.simulation.physical_parameters import ARM, PARAMETERS, UNCERTAIN
-from flexman_gym.toolbox.controllers.lqr import CostWeights
+from flexman_gym.toolbox.controllers.arm_scales import ArmScales, SlewBounds
+from flexman_gym.toolbox.controllers.cost_weights import NamedWeights
 from flexman_gym.toolbox.controllers.observers.observer import MeasurementModel
 from flexman_gym.toolbox.controllers.observers.perturbed_models import UncertainParameters
 from flexman_gym.toolbox.controllers.references.trajectories import plan_path, plan_slew
@@ -98,7 +100,7 @@ class GeneralisedPlant(NamedTuple):
         rows = np.vstack([np.zeros((0, 3 * k)), *(right for _, right in pairs.values())])
         rows[:, :k] /= modes.rates
         outputs = rows[:, : 2 * k] + rows[:, 2 * k :] @ A[k:], rows[:, 2 * k :] @ forces
-        cost = CostWeights.default(model).outputs(linear, model.motor_columns) @ into
+        cost = NamedWeights.of_reach(model).outputs(linear, model.motor_columns) @ into
         noise = np.maximum(NOISE[0] * instruments.deviations, NOISE[1] * instruments.ranges)
         undelayed = LinearModel(transition, held, *outputs, period=plant.period)
         system = _assembled(undelayed, cost, instruments.matrix @ into, noise, n, (sum(plant.delay) + 1) // 2)
@@ -384,7 +386,7 @@ class HInfinity:
         optional_module(*SLYCOT)
         self._plant, self._instruments, self._loss = plant, MeasurementModel(plant, sensors), positive("loss", loss)
         self.sensors, self._model, self._limits = tuple(sensors), centred_model(plant), np.array(plant.torque_limit)
-        self._delay = (sum(plant.delay) + 1) // 2
+        self._delay, self._rates = (sum(plant.delay) + 1) // 2, np.array(ArmScales.of_plant(plant).rates)
         self._designs: dict[bytes, Synthesis] = {}
         self._loops: dict[int, tuple[Synthesis, Array, Array]] = {}  # arm -> design, reference, feed-forward
         self._now = np.zeros(0, dtype=np.int64)
@@ -418,7 +420,7 @@ class HInfinity:
         held = max(np.abs(holding_torques(free, start + part * (goal - start)) / self._limits).max() for part in PARTS)
         fraction = float(held + SLEW_FRACTION * (1.0 - held))
         slew = (
-            plan_slew(free, start, goal, self._limits, fraction, self._plant.period)
+            plan_slew(free, start, goal, SlewBounds(self._limits, fraction, self._rates), self._plant.period)
             if paths is None
             else plan_path(free, paths[i], self._plant.period)
         )

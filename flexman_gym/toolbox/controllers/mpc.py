@@ -10,8 +10,8 @@ from flexman_gym.agent.base_controllers import ControllerEntry
 from flexman_gym.agent.controller import EpisodeInfo, Plant, Readings
 from flexman_gym.agent.pd import torque_limits
 from flexman_gym.common.arrays import Array, BoolArray, IntArray, Vector, pad_rows, row_dots
-from flexman_gym.common.checks import value_error
 from flexman_gym.common.computer import optional_module
+from flexman_gym.common.errors import value_error
 from flexman_gym.kernels.layout import TIP, TIP_VELOCITY
 from flexman_gym.model.model import Model, check_model
 from flexman_gym.model.state_space import discretize
@@ -19,8 +19,9 @@ from flexman_gym.model.statics import holding_torques, rest_state
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.linearization import linearize
 from flexman_gym.simulation.methods import DEFAULT_METHOD, Method
+from flexman_gym.toolbox.controllers.arm_scales import ArmScales, SlewBounds
+from flexman_gym.toolbox.controllers.cost_weights import MOTOR_WEIGHT, CostWeights
 from flexman_gym.toolbox.controllers.friction_compensation import FrictionCompensation
-from flexman_gym.toolbox.controllers.lqr import MOTOR_WEIGHT, CostWeights
 from flexman_gym.toolbox.controllers.references.trajectories import plan_slew
 
 # Tip deviation (fraction of the reach) and tip speed / reach (1/s) that cost 1: tuned as 0.05 m and 0.5 m/s for an arm
@@ -28,10 +29,10 @@ from flexman_gym.toolbox.controllers.references.trajectories import plan_slew
 TIP_SCALE, TIP_SPEED_SCALE = 0.05 / 8.5, 0.5 / 8.5
 REFERENCE_TORQUE = 1.3  # fraction of the torque limits for which the reference slew is planned
 MAX_CHANGE = 0.05  # fraction of the torque limits; largest change of planned torques, within the linear range
-LINEARISATION_PERIOD = 20  # index, not a time: the prediction is linearised at the state after this control period
+LINEARISATION_TIME = 20  # time units; the prediction is linearised at the state after this time
 LINEARISATION_POSTURES = 5  # number of postures along a slew about which the prediction is linearised
 MIN_SQUARED_LENGTH = 1e-12  # rad^2; avoids division by zero for a slew of zero length
-MOVE_BLOCKS = (1, 2, 3, 4, 5, 5, 5, 6, 7, 7, 8, 10)  # control periods over which each torque change is constant
+MOVE_BLOCKS = (1, 2, 3, 4, 5, 5, 5, 6, 7, 7, 8, 10)  # time units over which each torque change is constant
 
 
 class _Horizon(NamedTuple):
@@ -107,6 +108,7 @@ class MPC:
         torque_limit: torque limit of all joints, or of each joint (n,), N m.
         period: control period, s.
         integration: method and step (s) of the prediction.
+        scales: scales of the arm; None for those of the model and the torque limits.
 
     Raises:
         ImportError: without daqp (Arnström, Bemporad and Axehill, IEEE Trans. Automatic Control 67, 2022, 4362), the
@@ -123,14 +125,19 @@ class MPC:
         torque_limit: float | Vector,
         period: float,
         integration: tuple[str | Method, float | str] = (DEFAULT_METHOD, "auto"),
+        scales: ArmScales | None = None,
     ) -> None:
         self._daqp = optional_module("daqp", "the MPC", "mpc")
         reach = float(check_model(model).constants.length.sum())
         self.model, self.period, self._integration = model, period, integration
         self.limits = np.array(torque_limits("torque_limit", torque_limit, model.n_joints))
         self._weights = CostWeights(TIP_SCALE * reach, TIP_SPEED_SCALE * reach, MOTOR_WEIGHT)
+        scales = scales or ArmScales.of(model, self.limits)
+        self._bounds = SlewBounds(self.limits, REFERENCE_TORQUE, np.array(scales.rates))
+        self._unit = scales.unit(period)
+        self._blocks = tuple(self._unit * block for block in MOVE_BLOCKS)  # control periods
         self._plans: list[_Plan] = []
-        self._planned, self._now = np.zeros((0, sum(MOVE_BLOCKS), model.n_joints)), np.zeros(0, dtype=np.int64)
+        self._planned, self._now = np.zeros((0, sum(self._blocks), model.n_joints)), np.zeros(0, dtype=np.int64)
         plant = Plant(model, tuple(self.limits.tolist()), period, dict, integration=integration)
         self._compensation = FrictionCompensation(plant)
         self._batch = self._make_batch(1)
@@ -147,19 +154,19 @@ class MPC:
             plan = self._plan(start, goal)
             self._plans += [plan] * (arm + 1 - len(self._plans))
             self._plans[arm] = plan
-            self._planned[arm], self._now[arm] = np.clip(plan.torques[: sum(MOVE_BLOCKS)], -1.0, 1.0), 0
+            self._planned[arm], self._now[arm] = np.clip(plan.torques[: sum(self._blocks)], -1.0, 1.0), 0
 
     def _plan(self, start: Array, goal: Array) -> _Plan:
         slew, rest = (
-            plan_slew(self.model, start, goal, self.limits, REFERENCE_TORQUE, self.period),
-            sum(MOVE_BLOCKS) + 1,
+            plan_slew(self.model, start, goal, self._bounds, self.period),
+            sum(self._blocks) + 1,
         )
         states = np.vstack([slew.states, np.repeat(slew.states[-1:], rest, axis=0)])
         torques = np.vstack([slew.torques, np.repeat(holding_torques(self.model, goal)[None], rest + 1, axis=0)])
         batch = self._make_batch(len(states))
         batch.reset(np.arange(len(states)), states)
         postures = start + np.linspace(0.0, 1.0, LINEARISATION_POSTURES)[:, None] * (goal - start)
-        design = self.limits, self._weights, self.period, MOVE_BLOCKS
+        design = self.limits, self._weights, self.period, self._blocks
         horizons = [_design_horizon(self._compensation.model, posture, *design) for posture in postures]
         stacked = _Horizon(*(np.array(parts) for parts in zip(*horizons, strict=True)))
         return _Plan(stacked, start, goal - start, states, batch.outputs, torques / self.limits)
@@ -190,17 +197,17 @@ class MPC:
             outputs: (N, OUTPUTS) outputs predicted for the planned torques.
         """
         plan, now, n = self._plans[arm], int(self._now[arm]), len(self.limits)
-        rows = np.minimum(now + np.arange(sum(MOVE_BLOCKS) + 1), len(plan.states) - 1)
-        planned, firsts = self._planned[arm], np.cumsum((0, *MOVE_BLOCKS[:-1]))
+        rows = np.minimum(now + np.arange(sum(self._blocks) + 1), len(plan.states) - 1)
+        planned, firsts = self._planned[arm], np.cumsum((0, *self._blocks[:-1]))
         if np.isfinite(states).all():  # the prediction did not diverge
-            horizon = self._interpolate(plan, states[LINEARISATION_PERIOD])
+            horizon = self._interpolate(plan, states[self._unit * LINEARISATION_TIME])
             residuals = self._residuals(horizon, states - plan.states[rows[1:]], outputs - plan.outputs[rows[1:]])
             torque_residuals = np.add.reduceat(planned - plan.torques[rows[:-1]], firsts).ravel()
-            mean = (np.add.reduceat(planned, firsts) / np.array(MOVE_BLOCKS)[:, None]).ravel()
+            mean = (np.add.reduceat(planned, firsts) / np.array(self._blocks)[:, None]).ravel()
             gradient = row_dots(horizon.jacobian, residuals) + torque_residuals
             low, high = np.maximum(-1.0 - mean, -MAX_CHANGE), np.minimum(1.0 - mean, MAX_CHANGE)
             changes = _solve_quadratic_program(self._daqp, horizon.curvature, gradient, low, high)
-            planned = np.clip(planned + np.repeat(changes.reshape(-1, n), MOVE_BLOCKS, axis=0), -1.0, 1.0)
+            planned = np.clip(planned + np.repeat(changes.reshape(-1, n), self._blocks, axis=0), -1.0, 1.0)
         self._planned[arm] = np.vstack([planned[1:], np.clip(plan.torques[rows[-1]], -1.0, 1.0)])
         self._now[arm] += 1
         return planned[0]
@@ -233,7 +240,7 @@ def _solve_quadratic_program(daqp: ModuleType, curvature: Array, gradient: Array
 
 
 ENTRY = ControllerEntry(
-    lambda plant: MPC(plant.model, plant.torque_limit, plant.period, plant.integration),
+    lambda plant: MPC(plant.model, plant.torque_limit, plant.period, plant.integration, ArmScales.of_plant(plant)),
     ("model", "true state"),
     (),
     "model predictive control within the torque limits",

@@ -22,9 +22,9 @@ import numpy as np
 
 from flexman_gym.agent.pd import stability_limit
 from flexman_gym.common.arrays import Array
-from flexman_gym.common.checks import value_error
+from flexman_gym.common.errors import value_error
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.evaluation.agents import INTERFACE
+from flexman_gym.evaluation.agent_spec import INTERFACE
 from flexman_gym.metrics import BAND
 from flexman_gym.model.dynamics import mass_matrix
 from flexman_gym.model.model import Model

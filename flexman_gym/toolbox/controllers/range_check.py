@@ -9,11 +9,9 @@ from numpy.typing import NDArray
 from flexman_gym.agent.controller import Controller, EpisodeInfo, Readings, checked_controller
 from flexman_gym.agent.pd import torque_limits
 from flexman_gym.common.arrays import Array, BoolArray, IntArray
-from flexman_gym.common.checks import value_error
+from flexman_gym.common.errors import value_error
 from flexman_gym.model.model import Model
 from flexman_gym.model.statics import rigid_holding_torques
-from flexman_gym.toolbox.controllers.input_shaping.shaped_controller import InputShapedController
-from flexman_gym.toolbox.controllers.lqr import LQR
 
 GOOD, OUT_OF_RANGE, NOT_FINITE = range(3)  # status of a control period, by its worst reading; as in exported C
 # fraction of the reach; free fall within the time of the holding torques: they do not follow the arm, and torques that
@@ -37,13 +35,8 @@ def holding_periods(model: Model | None, period: float) -> int:
 
 
 def compensated_model(controller: object) -> Model | None:
-    """Return the model whose weight a controller compensates, with input shaping or without; None without gravity.
-
-    It is the model of an LQR, and the attribute `gravity_model` of a PD and of other controllers.
-    """
-    if isinstance(controller, InputShapedController):
-        return compensated_model(controller.inner)
-    model = controller.model if isinstance(controller, LQR) else getattr(controller, "gravity_model", None)
+    """Return the model whose weight a controller compensates, its attribute `gravity_model`; None without gravity."""
+    model: Model | None = getattr(controller, "gravity_model", None)
     return model if model is not None and model.constants.gravity.any() else None
 
 

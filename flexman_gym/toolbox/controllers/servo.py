@@ -11,7 +11,8 @@ from flexman_gym.agent.action_modes import ActionModeEntry
 from flexman_gym.agent.controller import Controller, EpisodeInfo, Plant, Readings, saturated
 from flexman_gym.agent.pd import PD, make_pd
 from flexman_gym.common.arrays import Array, BoolArray, IntArray, Vector, pad_rows
-from flexman_gym.common.checks import physical, value_error, vector
+from flexman_gym.common.checks import physical, vector
+from flexman_gym.common.errors import value_error
 from flexman_gym.toolbox.controllers.margins import describe_stuck_motors, sampled_loops
 
 UNSTABLE_RADIUS = 1.0 + 1e-6  # dimensionless; spectral radius of an unstable loop; undamped uncontrollable modes have 1

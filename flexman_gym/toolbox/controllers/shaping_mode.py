@@ -7,11 +7,12 @@ import numpy as np
 from flexman_gym.agent.action_modes import MAX_OBSERVATION, ActionModeEntry
 from flexman_gym.agent.controller import Controller, EpisodeInfo, Plant, Readings
 from flexman_gym.common.arrays import Array, BoolArray, IntArray
-from flexman_gym.common.checks import non_negative, value_error
+from flexman_gym.common.checks import non_negative
+from flexman_gym.common.errors import value_error
 from flexman_gym.model.linearization import LinearMeasurements
 from flexman_gym.toolbox.controllers.observers.observer import Estimate
+from flexman_gym.toolbox.controllers.output_feedback import OutputFeedback
 from flexman_gym.toolbox.controllers.reference_shaping import ReferenceShaping, ShapingLimits
-from flexman_gym.toolbox.controllers.tracking import OutputFeedback
 
 DEVIATION_SCALE = 1.0 / 30.0  # fraction of a range; deviation from the reference with an arcsinh of 0.88
 ANGLE_SCALE = 0.01  # rad; error of a motor angle with an arcsinh of 0.88

@@ -1,22 +1,22 @@
-"""Tracking control: feed-forward and scheduled LQR gains along a reference, and output feedback with an observer."""
-
-from collections.abc import Mapping
-from typing import Any
+"""Tracking control: feed-forward and scheduled LQR gains along a reference."""
 
 import numpy as np
 
-from flexman_gym.agent.controller import Controller, EpisodeInfo, Plant, Readings
+from flexman_gym.agent.controller import EpisodeInfo, Plant
 from flexman_gym.common.arrays import Array, BoolArray, IntArray, pad_rows, row_dots
+from flexman_gym.toolbox.controllers.arm_scales import ArmScales
+from flexman_gym.toolbox.controllers.cost_weights import CostWeights
 from flexman_gym.toolbox.controllers.friction_compensation import FrictionCompensation
-from flexman_gym.toolbox.controllers.lqr import FEEDFORWARD_FRACTION, HOLDING_FACTOR, CostWeights, GainTable
-from flexman_gym.toolbox.controllers.observers.observer import Estimate, Observer
+from flexman_gym.toolbox.controllers.gain_table import GainDesigns, make_gains, spread
+from flexman_gym.toolbox.controllers.lqr import FEEDFORWARD_FRACTION, HOLDING_FACTOR, PATH_POSTURES, SLEW_POSTURES
+from flexman_gym.toolbox.controllers.observers.observer import Estimate
 from flexman_gym.toolbox.controllers.reference_shaping import ReferenceShaping
 from flexman_gym.toolbox.controllers.references.adaptive_references import PathReferences, SlewReferences
 
-RETIMING_PERIODS = (6, 12, 20, 30, 45)  # control periods since the start of an episode at which timing is replanned
+RETIMING_TIMES = (6, 12, 20, 30, 45)  # time units since the start of an episode at which timing is replanned
 LAST_RETIMING = 0.75  # path parameter beyond which the timing is not replanned
-RETURN_TIME = 1.0  # s; time for which a model must explain the readings before a fallback controller ends
-ADAPTATION_INTERVAL = 5  # control periods between two adaptations of references to the estimates
+ADAPTATION_INTERVAL = 5  # time units between two adaptations of references to the estimates
+END_INTERVAL = 25  # time units between two computations of the static equilibrium at the end of a path
 
 
 class Tracking:
@@ -31,24 +31,39 @@ class Tracking:
         plant: plant model with its uncertain parameters.
         weights: cost weights; None for `CostWeights.default`.
         retimed: True to replan the timing of slews with new parameter estimates.
+        scales: scales of the arm; None for those of the plant.
 
     Attributes:
         slews: references of the arms.
+        unit: control periods in a time unit of adaptation, see `ArmScales.unit`.
         shaping: reference shaping by an agent; None for no reference shaping.
     """
 
     state_fields = ("slews", "_paths", "_ages", "_holding", "_goal", "_planned", "shaping")
 
-    def __init__(self, plant: Plant, weights: CostWeights | None = None, retimed: bool = True) -> None:
-        model, self._retimed = plant.model, RETIMING_PERIODS if retimed else ()
-        weights = weights or CostWeights.default(model)
+    def __init__(
+        self,
+        plant: Plant,
+        weights: CostWeights | None = None,
+        retimed: bool = True,
+        scales: ArmScales | None = None,
+    ) -> None:
+        model, scales = plant.model, scales or ArmScales.of_plant(plant)
+        self.unit = scales.unit(plant.period)
+        self._retimed = self.unit * np.array(RETIMING_TIMES if retimed else (), dtype=np.int64)
+        weights = weights or CostWeights.default(model, scales)
         low, high = plant.unknown.get("payload_mass", (model.constants.payload_mass[0],) * 2)
-        self._payloads = (low, 0.5 * (low + high), high) if high > low else (low,)
+        payloads = (low, 0.5 * (low + high), high) if high > low else (low,)
         self.limits, self._period = np.array(plant.torque_limit), plant.period
-        self._paths = PathReferences(model, plant.period, self._payloads)
-        self.slews = SlewReferences(model, self.limits, FEEDFORWARD_FRACTION, self._payloads)
+        self._paths = PathReferences(model, plant.period, payloads)
+        bounds = scales.bounds(self.limits, FEEDFORWARD_FRACTION)
+        self.slews = SlewReferences(model, bounds, payloads, scales.slew, equilibrium=not scales.named)
         tight = weights._replace(tip=HOLDING_FACTOR * weights.tip)
-        self._gains = [GainTable(model, self.limits, plant.period, each, self._payloads) for each in (weights, tight)]
+        nodes = payloads if scales.named else spread(payloads)
+        self._gains = [
+            make_gains(GainDesigns(model, self.limits, plant.period, each, nodes), self._route)
+            for each in (weights, tight)
+        ]
         self._motors = model.motor_columns
         self._compensation = FrictionCompensation(plant)
         self.shaping: ReferenceShaping | None = None
@@ -78,8 +93,14 @@ class Tracking:
         """
         self._compensation.check_none("lqg")
         payload = self.slews.payloads({}, np.zeros(1, dtype=np.int64))
-        result: Array = self._gains[1](np.zeros(1, dtype=np.int64), posture[None], payload)[0]
-        return result
+        return self._gains[1].at(posture, payload)
+
+    def _route(self, arm: int) -> Array:
+        """Return the motor angles (g, n) rad at which gains along the path of an arm are designed."""
+        if self._on_path[arm]:
+            return self._paths.route(arm, PATH_POSTURES)
+        parts = np.linspace(0.0, 1.0, SLEW_POSTURES)[:, None]
+        return self.slews.start[arm] + parts * self.slews.displacement[arm]
 
     def restart(self, arms: IntArray) -> None:
         """Plan the slews of arms (r,) anew, from rest at their next state estimate; paths continue."""
@@ -144,7 +165,7 @@ class Tracking:
 
     def _plan(self, arms: IntArray, estimate: Estimate) -> None:
         """Plan the references of arms (r,) at the start of an episode, later adapt them at fixed intervals."""
-        due, on_path = self._ages[arms] % ADAPTATION_INTERVAL == 0, self._on_path[arms]
+        due, on_path = self._ages[arms] % (self.unit * ADAPTATION_INTERVAL) == 0, self._on_path[arms]
         self._paths.adapt(arms[on_path & due], estimate.parameters)
         arms, due = arms[~on_path], due[~on_path] & (self._ages[arms[~on_path]] > 0)
         first = arms[self._ages[arms] == 0]
@@ -152,97 +173,12 @@ class Tracking:
             start = np.where(self._holding[first, None], self._goal[first], estimate.states[first][:, self._motors])
             self.slews.begin(first, start, self._goal[first])
             self.slews.adapt(first, estimate.parameters)
+            self.slews.end_in_equilibrium(first, estimate.parameters)
             self.slews.plan_timing(first, self.clock(estimate, first), first=True)
-        retimed = arms[np.isin(self._ages[arms], self._retimed)] if estimate.parameters else arms[:0]
+        retimed = arms[(self._ages[arms, None] == self._retimed).any(axis=1)] if estimate.parameters else arms[:0]
         self.slews.adapt(np.union1d(arms[due], retimed), estimate.parameters)
+        ended = due & (self._ages[arms] % (self.unit * END_INTERVAL) == 0)
+        self.slews.end_in_equilibrium(arms[ended], estimate.parameters)
         if len(retimed):
             retimed = retimed[self.slews.at(self.clock(estimate, retimed), retimed)[0] < LAST_RETIMING]
             self.slews.plan_timing(retimed, self.clock(estimate, retimed), first=False)
-
-
-class OutputFeedback:
-    """Output feedback: an observer estimates the state, and a tracking law computes torques from it.
-
-    If no model of the observer explains the readings of an arm, a fallback controller acts until the estimated model
-    has explained them for RETURN_TIME. The slew is then planned anew from where the arm is.
-
-    Args:
-        observer: observer of states and parameters. Its optional members `inconsistent` and `consistent`, (b,) flags,
-            mark arms whose readings no model of the observer explains, and arms whose readings its estimated model
-            explains; without the latter a fallback controller acts until the end of the episode.
-        law: tracking law.
-        fallback: controller without a model, such as a PD; None for no fallback.
-    """
-
-    state_fields = ("observer", "law", "fallback", "_fallback_active", "_consistent_periods", "_updated", "_latest")
-
-    def __init__(self, observer: Observer, law: Tracking, fallback: Controller | None = None) -> None:
-        self.observer, self.law, self.fallback = observer, law, fallback
-        self.sensors = (*observer.sensors, *(fallback.sensors if fallback else ()))
-        self._fallback_active, self._updated = np.zeros(0, dtype=bool), np.zeros(0, dtype=bool)
-        self._consistent_periods, self._return_periods = np.zeros(0, dtype=np.int64), 0
-        self._latest: dict[str, Any] = {}  # estimate of the arms updated in this control period
-
-    @property
-    def estimates(self) -> Mapping[str, Array]:
-        """Estimates of the observer, name -> (b, ...)."""
-        return getattr(self.observer, "estimates", {})
-
-    def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
-        """Start new episodes; arguments as in `Controller.reset`."""
-        self.observer.reset(arms, episode, count)
-        self.law.reset(arms, episode, count)
-        if self.fallback:
-            self.fallback.reset(arms, episode, count)
-        for name in ("_fallback_active", "_consistent_periods", "_updated"):
-            setattr(self, name, pad_rows(getattr(self, name), count))
-            getattr(self, name)[arms] = False
-        self._return_periods = round(RETURN_TIME / episode.period)
-
-    def update_estimate(self, readings: Readings, applied: Array, active: BoolArray) -> Estimate:
-        """Return the estimate for the active arms (b,); the observer is updated once per control period."""
-        due = active & ~self._updated
-        if self._latest and not due.any():
-            return Estimate(**self._latest)
-        estimate = self.observer.estimate(readings, applied, due)
-        self._fallback_active |= _inconsistent(self.observer)
-        self._end_fallback(due)
-        if self._updated.any():
-            states = np.where(due[:, None], estimate.states, self._latest["states"])
-            estimate = estimate._replace(states=states)
-        self._latest, self._updated = estimate._asdict(), self._updated | due
-        return estimate
-
-    def _end_fallback(self, due: BoolArray) -> None:
-        """Return to the tracking law the arms (b,) whose readings have been explained long enough."""
-        if not self._fallback_active.any() or not hasattr(self.observer, "consistent"):
-            return
-        explained = self._fallback_active & self.observer.consistent
-        self._consistent_periods = np.where(explained, self._consistent_periods + due, 0)
-        returned = np.flatnonzero(due & (self._consistent_periods >= self._return_periods))
-        self._fallback_active[returned], self._consistent_periods[returned] = False, 0
-        self.law.restart(returned)
-
-    def prepare(self, applied: Array, active: BoolArray) -> None:
-        """Let the observer compute what does not depend on the next readings; see `Controller`."""
-        if hasattr(self.observer, "prepare"):
-            self.observer.prepare(applied, active & ~self._updated)
-
-    def act(self, readings: Readings, applied: Array, active: BoolArray) -> Array:
-        """Return the actions (b, n), fractions of the torque limits."""
-        estimate = self.update_estimate(readings, applied, active)
-        self._updated &= ~active
-        torques = self.law.torques(estimate, active & ~self._fallback_active) - estimate.disturbance
-        result = np.clip(torques / self.law.limits, -1.0, 1.0)
-        if self.fallback and self._fallback_active.any():
-            fallback = np.asarray(self.fallback.act(readings, applied, active), dtype=float)
-            result = np.where(self._fallback_active[:, None], fallback, result)
-        if not self._updated.any():
-            self._latest = {}
-        return result
-
-
-def _inconsistent(observer: Observer) -> BoolArray | bool:
-    """Return the flags (b,) `inconsistent` of an observer; False for an observer without this attribute."""
-    result: BoolArray | bool = getattr(observer, "inconsistent", False)
-    return result

@@ -11,7 +11,7 @@ import numpy as np
 from flexman_gym.agent.base_controllers import make_base
 from flexman_gym.agent.pd import PD
 from flexman_gym.common.arrays import Array
-from flexman_gym.common.checks import value_error
+from flexman_gym.common.errors import value_error
 from flexman_gym.common.parallel import Workers, parallel_map
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
@@ -21,6 +21,7 @@ from flexman_gym.envs.vector_env import compile_kernels
 from flexman_gym.evaluation.metrics import METRICS
 from flexman_gym.evaluation.rollouts import rollout
 from flexman_gym.simulation.batch import Batch
+from flexman_gym.toolbox.controllers.arm_scales import ArmScales
 from flexman_gym.toolbox.controllers.lqr import LQR
 from flexman_gym.toolbox.controllers.margins import MIN_MARGINS, Margins, SampledLoop, has_margins, margins
 from flexman_gym.toolbox.controllers.pd_design import PDDesign
@@ -195,7 +196,8 @@ def optimise_slews(environment: Configuration, seeds: Sequence[int], table: Slew
         return
     limits, period = environment.torque_limit, environment.control_period
     model, method, step, _ = resolve_fidelity(environment)
-    regulator, replay = LQR(model, limits, period), OptimisedController(table, model, limits, period)
+    scales = ArmScales.of_design_named(model)
+    regulator, replay = LQR(model, limits, period, scales=scales), OptimisedController(table, model, limits, period)
 
     def make_batch(arms: int) -> Batch:
         return Batch(model, method, step, period, arms=arms)

@@ -3,48 +3,41 @@
 import re
 from collections.abc import Iterable
 from copy import copy
-from dataclasses import dataclass, field
+from dataclasses import replace
 from pathlib import Path
 from string import Template
 from textwrap import fill, wrap
 from typing import Any, NamedTuple
 
-import gymnasium as gym
 import numpy as np
 
 from flexman_gym.agent.action_modes import TorqueMode
-from flexman_gym.agent.agent import Agent, history_length
-from flexman_gym.agent.controller import EpisodeInfo, Readings
-from flexman_gym.agent.network import MAX_INPUT, Network
-from flexman_gym.agent.pd import PD
-from flexman_gym.common.arrays import Array, BoolArray, IntArray
-from flexman_gym.common.checks import MAX_SIZE, value_error
+from flexman_gym.agent.controller import EpisodeInfo
+from flexman_gym.common.arrays import Array
+from flexman_gym.common.checks import MAX_SIZE
+from flexman_gym.common.errors import value_error
 from flexman_gym.common.files import write_atomically
 from flexman_gym.envs.config.base_and_mode import make_base_and_mode
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
-from flexman_gym.envs.episodes import goal_path
+from flexman_gym.envs.episodes import Episodes, goal_path
 from flexman_gym.envs.sensors import find_sensors
-from flexman_gym.evaluation.agents import AgentSpec, common_environment, find_agent
-from flexman_gym.evaluation.rollouts import TEST_SEEDS
+from flexman_gym.evaluation.agent_spec import AgentSpec
+from flexman_gym.evaluation.agents import common_environment, find_agent
+from flexman_gym.evaluation.rollouts import TEST_SEEDS, RolloutLoop
 from flexman_gym.model.model import Model
-from flexman_gym.model.statics import rest_state
-from flexman_gym.toolbox.controllers.input_shaping.shaped_controller import InputShapedController
-from flexman_gym.toolbox.controllers.lqr import LQR, TrackingLQR
-from flexman_gym.toolbox.controllers.observers.kalman_filter import KalmanFilter
 from flexman_gym.toolbox.controllers.range_check import (
     HOLDING_FALL,
     RangeCheckedController,
     compensated_model,
     holding_periods,
 )
-from flexman_gym.toolbox.controllers.tracking import OutputFeedback, Tracking
 from flexman_gym.toolbox.deployment import c_templates as c
+from flexman_gym.toolbox.deployment.c_programs import CProgram, has_c_program, read_program
 
 EXPORTED = (
     "pd, pd-shaped, lqr, lqr-tracking, lqg, or a policy on one of the first four: others simulate arms while they run"
 )
-NEAR = 0.05  # rad; default distance between start and goal of a controller that is linear about its goal
 RECORDED_PERIODS = 100  # number of control periods whose readings and torques are stored in the test program
 # names that are not those of a controller in C: its files would be main.c or replace a header of the compiler
 RESERVED_NAMES = ("main", "features", "float", "limits", "math", "stddef", "stdio", "stdlib", "string", "time")
@@ -54,73 +47,6 @@ RESERVED_READINGS = (
     *("GOOD", "OUT_OF_RANGE", "NOT_FINITE", "NO_MOVE"),
 )
 MAX_NAME = 40  # characters of the name of a controller in C
-POSTURE_STEP = 1e-4  # rad; central difference of the equilibrium state with respect to motor angles
-
-
-class _LinearOutputFeedback:
-    """Linear output feedback about the goal of one arm: Kalman filter and LQR with fixed gains.
-
-    Args:
-        observer: Kalman filter from which the linear filter is computed.
-        law: tracking law whose gain at the goal is used.
-    """
-
-    def __init__(self, observer: KalmanFilter, law: Tracking) -> None:
-        self._observer, self._law = observer, law
-        self.sensors: tuple[str, ...] = tuple(observer.sensors)
-        self.gravity_model = law.slews.model
-        self._tables: dict[str, Array] = {}
-        self._deviation: Array | None = None  # (2 d,) estimated deviation from the equilibrium; None before a reading
-
-    def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
-        """Linearise about the goal; arguments as in `Controller.reset`."""
-        if len(episode.goal) != 1 or episode.reference is not None:
-            raise value_error("lqg", "several arms, or a moving goal", "one arm with a fixed goal")
-        goal, model = episode.goal[0], self.gravity_model
-        steps = POSTURE_STEP * np.eye(len(goal))
-        rows = (rest_state(model, goal + steps) - rest_state(model, goal - steps)) / (2.0 * POSTURE_STEP)
-        gain = {"K": self._law.holding_gain(goal), "from_angles": rows.T, "goal": goal}
-        self._tables, self._deviation = self._observer.linear(goal) | gain, None
-
-    def move_tables(self) -> dict[str, Array]:
-        """Return the matrices of the present goal by name, see `KalmanFilter.linear`."""
-        return self._tables
-
-    def act(self, readings: Readings, applied: Array, active: BoolArray) -> Array:
-        """Return the action (1, n); arguments as in `Controller.act`."""
-        t, limits = self._tables, self._law.limits
-        if self._deviation is None:
-            self._deviation = t["from_angles"] @ (readings["motor_angles"][0] - t["goal"])
-        else:
-            predicted = t["A"] @ self._deviation + t["B"] @ (applied[0] * limits - t["holding"])
-            measured = np.concatenate([readings[name][0] for name in self._observer.quantities])
-            self._deviation = predicted + t["L"] @ (measured - t["C"] @ (t["rest"] + predicted))
-        return np.clip((t["holding"] - t["K"] @ self._deviation) / limits, -1.0, 1.0)[None]
-
-
-@dataclass
-class _Program:
-    """Parts of a controller in C.
-
-    Attributes:
-        constants: name -> array that does not depend on the move.
-        rows: name -> (rows, ...) table of the move, with a row for each control period.
-        matrices: name -> array of the move.
-        memory: name -> shape of an array in the state.
-        sizes: name -> whole number.
-        step: statements of the step.
-        weight: name -> array for the holding torques of refused periods; {} for a controller without them.
-        posture: expression of a motor angle, rad, for these torques.
-    """
-
-    constants: dict[str, Array] = field(default_factory=dict)
-    rows: dict[str, Array] = field(default_factory=dict)
-    matrices: dict[str, Array] = field(default_factory=dict)
-    memory: dict[str, tuple[int, ...]] = field(default_factory=dict)
-    sizes: dict[str, int] = field(default_factory=dict)
-    step: list[str] = field(default_factory=list)
-    weight: dict[str, Array] = field(default_factory=dict)
-    posture: str = ""
 
 
 class _Session(NamedTuple):
@@ -129,7 +55,8 @@ class _Session(NamedTuple):
     Attributes:
         spec: specification of the agent.
         environment: environment without the settings of the agent.
-        episodes: episode of one arm, after its reset; the law is not part of its agent.
+        loop: rollout of an episode of one arm, after its reset.
+        options: options of the reset.
         layout: name -> (first index, size, unit) of each reading.
         ranges: (size,) largest magnitude of each reading.
         move: start and goal, (n,) rad each.
@@ -138,11 +65,17 @@ class _Session(NamedTuple):
 
     spec: AgentSpec
     environment: Configuration
-    episodes: Any
+    loop: RolloutLoop
+    options: dict[str, Any] | None
     layout: dict[str, tuple[int, int, str]]
     ranges: Array
     move: tuple[Array, Array]
     path: Array | None
+
+    @property
+    def episodes(self) -> Episodes:
+        """Episode of one arm."""
+        return self.loop.episodes
 
     @property
     def gravity_model(self) -> Model | None:
@@ -155,7 +88,6 @@ class _Session(NamedTuple):
         It shares its base controller with the episode of the session.
         """
         agent, (start, goal) = copy(self.episodes.agent), self.move
-        agent.law = self.spec.law
         ranges = {name: self.ranges[first : first + size] for name, (first, size, _) in self.layout.items()}
         limits, period = np.array(self.environment.torque_limit), self.environment.control_period
         result = RangeCheckedController(agent, ranges, limits, self.gravity_model)
@@ -171,22 +103,21 @@ class _Session(NamedTuple):
         parts = [named[name][0] for name in self.layout if name not in own]
         return np.concatenate([observed, *parts] if own else parts)
 
+    def program(self) -> CProgram:
+        """Return the program of the agent in the move of the session."""
+        return read_program(self.episodes.agent, self.episodes.readings, self.environment.control_period)
+
     def record(self, periods: int) -> tuple[Array, Array]:
-        """Simulate control periods; return readings (T, size), and actions (T, n) as fractions of the limits."""
-        episodes, law = self.episodes, self.spec.law
-        readings, actions = [self.readings()], []
+        """Simulate control periods from the start; return readings (T, size) and actions (T, n).
 
-        def callback() -> None:
-            actions.append(episodes.view.action[0].copy())
-            readings.append(self.readings())
-
-        episodes.callback = callback
-        while len(actions) < periods and not episodes.over.all():
-            outputs = np.zeros((1, len(episodes.agent.mode.names)))
-            if law is not None:
-                outputs = np.asarray(law(episodes.agent.observations.copy()), dtype=np.float32).astype(float)
-            episodes.step(outputs)
-        return np.array(readings[: len(actions)]), np.array(actions)
+        Actions are fractions of the torque limits.
+        """
+        readings: list[Array] = []
+        self.loop.begin(lambda _: readings.append(self.readings()), None, self.options)
+        while len(readings) <= periods and not self.loop.over:
+            self.loop.step()
+        actions = self.loop.result().actions[0]
+        return np.array(readings[: len(actions)]), actions
 
 
 def begin_agent(name: object, environment: str = "", seed: int = TEST_SEEDS[0], **move: Any) -> _Session:
@@ -205,33 +136,34 @@ def begin_agent(name: object, environment: str = "", seed: int = TEST_SEEDS[0], 
     bare = common_environment([spec], Configuration.find(environment) if environment else None)
     if bare.safety:
         raise value_error("safety", True, "False: the safety filter cannot be exported")
-    interface, law = dict(spec.interface or {}), spec.law
-    if isinstance(base := interface.get("base"), str | dict):
+    interface = dict(spec.interface or {})
+    base: Any = interface.get("base")
+    if isinstance(base, str | dict):
         design = bare.replace(**interface)
-        base = interface["base"] = make_base_and_mode(design, resolve_fidelity(design).model)[0]
-    if isinstance(base, OutputFeedback) and type(base.observer) is KalmanFilter and law is None:
-        base = interface["base"] = _LinearOutputFeedback(base.observer, base.law)
-    inner = base.inner if isinstance(base, InputShapedController) else base
-    known = type(inner) in (PD, LQR, TrackingLQR, _LinearOutputFeedback) or (inner is None and law is not None)
-    if not known or not isinstance(law, Network | None):
+        base = make_base_and_mode(design, resolve_fidelity(design).model)[0]
+    if spec.law is None and hasattr(base, "linear_form"):
+        base = base.linear_form()
+    if (base is None and spec.law is None) or not has_c_program(base) or not has_c_program(spec.law):
         raise value_error("agent", spec.name, EXPORTED)
-    if not isinstance(interface.get("actions", TorqueMode(1)), TorqueMode):
+    if type(interface.get("actions", TorqueMode(1))) is not TorqueMode:
         raise value_error("agent", spec.name, f"{EXPORTED}, of a policy whose actions are torques")
-    venv: Any = gym.make_vec(bare.id, 1, "vector_entry_point", **bare.keywords(), **interface)
-    venv.reset(seed=[seed], options=dict(move) or None)
-    episodes: Any = venv.unwrapped.episodes
-    if isinstance(base, _LinearOutputFeedback) and "start" not in move:
+    spec = replace(spec, interface=interface | {"base": base})
+    options: dict[str, Any] | None = move or None
+    loop = RolloutLoop(spec, bare, [seed], options=options)
+    episodes = loop.episodes
+    near = read_program(episodes.agent, episodes.readings, bare.control_period).near
+    if near is not None and "start" not in move:
         goal = episodes.view.goal_angles[0].copy()
-        venv.reset(seed=[seed], options={"start": goal - NEAR, "goal_angles": goal})
-    episodes.agent.check_law(law)
-    layout, ranges = _find_layout(episodes, bool(law), bare)
+        options = {"start": goal - near, "goal_angles": goal}
+        loop.begin(None, None, options)
+    layout, ranges = _find_layout(episodes, spec.law is not None, bare)
     parameters, goal = episodes.view.episode_parameters, episodes.view.goal_angles[0].copy()
     path = goal_path(bare.task, parameters, episodes.max_periods, episodes.view)[0] if bare.task.moves else None
-    return _Session(spec, bare, episodes, layout, ranges, (parameters["start"][0].copy(), goal), path)
+    return _Session(spec, bare, loop, options, layout, ranges, (parameters["start"][0].copy(), goal), path)
 
 
 def _find_layout(
-    episodes: Any, observes: bool, environment: Configuration
+    episodes: Episodes, observes: bool, environment: Configuration
 ) -> tuple[dict[str, tuple[int, int, str]], Array]:
     """Return name -> (first index, size, unit) of the readings of an agent, and their largest magnitudes (size,).
 
@@ -255,79 +187,18 @@ def _find_layout(
     return layout, np.concatenate(ranges)
 
 
-def read_program(session: _Session) -> _Program:
-    """Return the parts of the agent of a session."""
-    program, agent, mode = _Program(), session.episodes.agent, session.episodes.agent.mode
-    base, readings = agent.base, "readings"
-    if isinstance(base, InputShapedController):
-        shifts = base.move_tables(session.episodes.measurements.readings)
-        program.rows |= {f"{name}_shift": each for name, each in shifts.items()}
-        lines = [Template(c.SHIFTED).safe_substitute(size=values.shape[1], reading=name, READING=name.upper())
-                 for name, values in shifts.items()]  # fmt: skip
-        program.step.append(Template(c.SHIFT).safe_substitute(shifts="\n".join(lines)))
-        base, readings = base.inner, "shaped"
-    if isinstance(base, PD):
-        program.constants |= {"stiffness": base.stiffness, "damping": base.damping}
-        program.rows |= base.move_tables()
-        holding = " + move->holding[row * N + i]" if "holding" in program.rows else ""
-        program.step.append(Template(c.PD).safe_substitute(holding=holding, r=readings))
-    elif isinstance(base, LQR):
-        tables = base.move_tables()
-        program.matrices["gains"] = tables.pop("gains")
-        program.rows |= tables
-        program.sizes |= {"GAINS": len(program.matrices["gains"]), "STATES": tables["states"].shape[1]}
-        program.step.append(Template(c.LQR).safe_substitute(r=readings))
-    elif isinstance(base, _LinearOutputFeedback):
-        program.matrices |= base.move_tables()
-        program.sizes |= dict(zip(("MEASUREMENTS", "STATES"), program.matrices["C"].shape, strict=True))
-        program.memory["deviation"] = program.matrices["rest"].shape
-        program.step.append(Template(c.LQG).safe_substitute(r=readings))
-    if isinstance(session.spec.law, Network):
-        _add_network(program, session.spec.law, agent, mode.strength, session.environment.control_period)
-    return program
-
-
-def _add_network(program: _Program, network: Network, agent: Agent, strength: float | Array, period: float) -> None:
-    """Add a policy network with the history, action repeat and strength of its agent."""
-    length = history_length(agent.history)
-    sizes = [network.size, *(len(bias) for _, bias in network.layers)]
-    program.sizes |= {"OBSERVED": network.size // length, "HISTORY": length, "REPEAT": agent.action_repeat}
-    program.sizes["WIDTH"] = max(sizes)
-    program.constants |= {"mean": network.mean, "scale": network.scale}
-    update = "*entry = *(entry - OBSERVED)"
-    if not isinstance(agent.history, int):
-        interval = agent.action_repeat * period
-        program.constants["rate"] = np.append(1.0, 1.0 - np.exp(-interval / np.array(agent.history)))
-        update = "*entry += rate[k] * (readings[j] - *entry)"
-    layers = []
-    for i, (weights, bias) in enumerate(network.layers):
-        program.constants |= {f"weights_{i + 1}": weights, f"bias_{i + 1}": bias}
-        value = f"dot({sizes[i]}, weights_{i + 1} + i * {sizes[i]}, values[{i % 2}]) + bias_{i + 1}[i]"
-        if i + 1 < len(network.layers):
-            function = "tanh(sum)" if network.activation == "tanh" else "sum < 0.0 ? 0.0 : sum"
-            parts = {"outputs": sizes[i + 1], "target": (i + 1) % 2, "sum": value, "function": function}
-            layers.append(Template(c.LAYER).substitute(parts))
-    output = f"tanh({value})" if network.squashed else f"clip({value}, 1.0)"
-    command = "state->command[i]"
-    if isinstance(strength, np.ndarray):
-        program.constants["strength"], command = strength, "clip(state->command[i] * strength[i], 1.0)"
-    program.memory |= {"history": (length * program.sizes["OBSERVED"],), "command": (network.joints,)}
-    text = Template(c.NETWORK).safe_substitute(update=update, most=MAX_INPUT, layers="\n".join(layers))
-    program.step.append(Template(text).safe_substitute(output=output, command=command))
-
-
-def _add_weight(program: _Program, session: _Session) -> None:
+def _add_weight(program: CProgram, session: _Session) -> None:
     """Add the holding torques of refused periods, if the agent compensates the weight of its arm."""
     model, layout = session.gravity_model, session.layout
     if model is None:
         return
     if "motor_angles" in layout:
-        program.posture = "readings[${P}_MOTOR_ANGLES + i]"
+        posture = "readings[${P}_MOTOR_ANGLES + i]"
     elif "state" in layout:
-        program.posture = "readings[${P}_STATE + motor_column[i]]"
+        posture = "readings[${P}_STATE + motor_column[i]]"
         program.weight["motor_column"] = model.motor_columns
     else:
-        program.posture = "move->goal_angles[row * N + i] - readings[${P}_ANGLE_ERRORS + i]"
+        posture = "move->goal_angles[row * N + i] - readings[${P}_ANGLE_ERRORS + i]"
         program.rows["goal_angles"] = session.move[1][None] if session.path is None else session.path
     constants, n = model.constants, model.n_joints
     outboard = np.append(np.cumsum(constants.mass[::-1])[::-1][1:], 0.0) + constants.payload_mass[0]  # kg
@@ -336,7 +207,7 @@ def _add_weight(program: _Program, session: _Session) -> None:
     program.weight |= {"gravity": constants.gravity, "mount": constants.mount, "axis": constants.axis}
     program.weight["outboard_moment"] = moments
     program.memory["posture"] = (n,)
-    program.step.insert(0, Template(c.POSTURE).safe_substitute(angle=program.posture))
+    program.step.insert(0, Template(c.POSTURE).safe_substitute(angle=posture))
 
 
 def write_c(session: _Session, folder: Path) -> list[Path]:
@@ -352,7 +223,7 @@ def write_c(session: _Session, folder: Path) -> list[Path]:
     Raises:
         OSError: if a file cannot be written; earlier files of this name then remain unchanged.
     """
-    program = read_program(session)
+    program = session.program()
     _add_weight(program, session)
     words = _words(session, program, _c_name(session.spec.name))
     source = c.SOURCE.replace("$step", "".join(program.step))
@@ -364,7 +235,7 @@ def write_c(session: _Session, folder: Path) -> list[Path]:
     return [folder / file for file in files]
 
 
-def _words(session: _Session, program: _Program, name: str) -> dict[str, Any]:
+def _words(session: _Session, program: CProgram, name: str) -> dict[str, Any]:
     """Return the parts of the files of a controller by their names in the templates."""
     environment, limits = session.environment, np.array(session.environment.torque_limit)
     readings, actions = session.record(RECORDED_PERIODS)
@@ -390,7 +261,7 @@ def _words(session: _Session, program: _Program, name: str) -> dict[str, Any]:
         "checks": "".join(Template(c.CHECK).substitute(common, name=each, count=_c_count(values, each in program.rows))
                           for each, values in tables.items()),
         "dot": c.DOT if "dot(" in step or program.weight else "", "periods": len(actions),
-        "note": c.LINEAR_NOTE if "K" in tables else "", "environment": _one_line(environment.id),
+        "note": "" if program.near is None else c.LINEAR_NOTE, "environment": _one_line(environment.id),
         "arrays": "\n".join((_c_array("readings", readings), _c_array("expected", actions * limits))),
         "limits": limits.tolist(), "start": session.move[0].round(6).tolist(),
         "goal": session.move[1].round(6).tolist(),
@@ -401,7 +272,7 @@ def _words(session: _Session, program: _Program, name: str) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _holding_words(session: _Session, program: _Program, name: str) -> dict[str, Any]:
+def _holding_words(session: _Session, program: CProgram, name: str) -> dict[str, Any]:
     """Return the parts of the files that belong to the torques of refused periods."""
     common, model, count = {"p": name, "P": name.upper()}, session.gravity_model, 0
     torques, reason = c.ZERO_TORQUES, c.NO_HOLDING_REASON

@@ -1,4 +1,4 @@
-"""Text of a controller in C99: header, source, test program, page, and the statements of each kind of controller.
+"""Text of a controller in C99: header, source, test program and page.
 
 $p and $P stand for the name of the controller in small and in capital letters.
 """
@@ -188,96 +188,6 @@ POSTURE = """
     for (int i = 0; i < N; i++)
         state->posture[i] = $angle;
 """
-
-SHIFT = """
-    /* Input shaping: readings of the goal become readings of the shaped command. */
-    double shaped[${P}_READINGS];
-    for (int i = 0; i < ${P}_READINGS; i++)
-        shaped[i] = readings[i];
-$shifts
-"""
-
-SHIFTED = """    for (int i = 0; i < $size; i++)
-        shaped[${P}_$READING + i] += move->${reading}_shift[$size * row + i];"""
-
-PD = """
-    /* PD controller of the motors; single precision at the end as in Python. */
-    for (int i = 0; i < N; i++) {
-        const double slip = $r[${P}_MOTOR_RATES + i] - $r[${P}_GOAL_RATES + i];
-        const double sum = stiffness[i] * $r[${P}_ANGLE_ERRORS + i] - damping[i] * slip$holding;
-        base[i] = (double)(float)clip(sum / ${p}_torque_limit[i], 1.0);
-    }
-"""
-
-LQR = """
-    /* Feed-forward and feedback of the state, with gains interpolated along the move. */
-    {
-        const double position = fmin(fmax(move->positions[row], 0.0), GAINS - 1);
-        const int most = GAINS > 2 ? GAINS - 2 : 0, whole = (int)position;
-        const int lower = whole < most ? whole : most, upper = lower + 1 < GAINS ? lower + 1 : GAINS - 1;
-        for (int i = 0; i < N; i++) {
-            const double *first = move->gains + (lower * N + i) * STATES;
-            const double *last = move->gains + (upper * N + i) * STATES;
-            double sum = move->torques[row * N + i];
-            for (int j = 0; j < STATES; j++) {
-                const double gain = first[j] + (position - lower) * (last[j] - first[j]);
-                sum -= gain * ($r[${P}_STATE + j] - move->states[row * STATES + j]);
-            }
-            base[i] = clip(sum / ${p}_torque_limit[i], 1.0);
-        }
-    }
-"""
-
-LQG = """
-    /* Kalman filter with a fixed gain; deviation from the equilibrium at the goal. */
-    {
-        double predicted[STATES], error[MEASUREMENTS], input[N];
-        for (int i = 0; i < N; i++)
-            input[i] = state->started ? state->torque[i] - move->holding[i] : $r[${P}_MOTOR_ANGLES + i] - move->goal[i];
-        for (int i = 0; i < STATES; i++)
-            predicted[i] = state->started ? dot(STATES, move->A + i * STATES, state->deviation)
-                + dot(N, move->B + i * N, input) : dot(N, move->from_angles + i * N, input);
-        for (int i = 0; i < MEASUREMENTS; i++)
-            error[i] = state->started ? $r[i] - dot(STATES, move->C + i * STATES, move->rest)
-                - dot(STATES, move->C + i * STATES, predicted) : 0.0;
-        for (int i = 0; i < STATES; i++)
-            state->deviation[i] = predicted[i] + dot(MEASUREMENTS, move->L + i * MEASUREMENTS, error);
-        for (int i = 0; i < N; i++) {
-            const double sum = move->holding[i] - dot(STATES, move->K + i * STATES, state->deviation);
-            base[i] = clip(sum / ${p}_torque_limit[i], 1.0);
-        }
-    }
-"""
-
-NETWORK = """
-    /* Policy network, once in REPEAT periods; observations and commands in single precision as in Python. */
-    if (state->phase == 0) {
-        double values[2][WIDTH];
-        for (int j = 0; j < OBSERVED; j++) {
-            for (int k = HISTORY - 1; k > 0; k--) {
-                double *entry = &state->history[k * OBSERVED + j];
-                if (!state->started)
-                    *entry = readings[j];
-                else
-                    $update;
-            }
-            state->history[j] = readings[j];
-        }
-        for (int j = 0; j < HISTORY * OBSERVED; j++)
-            values[0][j] = clip(((double)(float)state->history[j] - mean[j]) * scale[j], $most);
-$layers
-        for (int i = 0; i < N; i++)
-            state->command[i] = (double)(float)($output);
-    }
-    state->phase = (state->phase + 1) % REPEAT;
-    for (int i = 0; i < N; i++)
-        command[i] = $command;
-"""
-
-LAYER = """        for (int i = 0; i < $outputs; i++) {
-            const double sum = $sum;
-            values[$target][i] = $function;
-        }"""
 
 MAIN = """/* Compare torques for recorded readings with those of Python, and check that bad readings are refused. The
    exit status is 0 for equal torques without errors. With the argument time: print the durations of 10^6 steps. */

@@ -14,7 +14,7 @@ from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.model.statics import holding_torques, rest_state
 from flexman_gym.scene.serialization import SUFFIXES
 from flexman_gym.simulation.linearization import linearize
-from flexman_gym.toolbox.deployment.c_code import begin_agent, read_program
+from flexman_gym.toolbox.deployment.c_code import begin_agent
 
 OUTPUTS = ("tip", "tip_velocity", "motor_angles", "motor_rates", "joint_twists", "root_strains")
 
@@ -44,7 +44,7 @@ def write_matlab(name: str, path: Path, environment: str = "", goal: Vector | No
     else:
         move: dict[str, Any] = {} if goal is None else {"goal_angles": goal}
         session = begin_agent(name, environment, **move)
-        program, bare, posture = read_program(session), session.environment, session.move[1]
+        program, bare, posture = session.program(), session.environment, session.move[1]
         model = session.episodes.batch.model
         data["agent"] = program.constants | program.rows | program.matrices
     holding = holding_torques(model, posture)

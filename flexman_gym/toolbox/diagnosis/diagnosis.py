@@ -10,12 +10,12 @@ from flexman_gym.agent.controller import Controller
 from flexman_gym.common.arrays import Array
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.episodes import Episodes
-from flexman_gym.evaluation.agents import AgentSpec
+from flexman_gym.evaluation.agent_spec import AgentSpec
 from flexman_gym.evaluation.rollouts import Rollout, rollout
 from flexman_gym.model.dynamics import damping_matrix
 from flexman_gym.model.model import Model
 from flexman_gym.simulation.episode import Episode
-from flexman_gym.toolbox.controllers.input_shaping.shapers import excited_modes
+from flexman_gym.toolbox.controllers.excited_modes import excited_modes
 
 WINDOW = 3.0  # s; default length of the window, the analysed end of an episode
 MIN_MODE_PERIODS = 2.0  # periods of the slowest mode; smallest length of the window

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from flexman_gym.common.arrays import Array
-from flexman_gym.common.checks import value_error
+from flexman_gym.common.errors import value_error
 from flexman_gym.common.progress import Progress
 from flexman_gym.model.assembled_modes import compact_modes
 from flexman_gym.model.dynamics import mass_matrix, stiffness_matrix, tip_jacobian

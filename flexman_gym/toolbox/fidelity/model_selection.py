@@ -8,7 +8,8 @@ from functools import lru_cache
 import numpy as np
 
 from flexman_gym.common.arrays import Array
-from flexman_gym.common.checks import instance, positive, value_error
+from flexman_gym.common.checks import instance, positive
+from flexman_gym.common.errors import value_error
 from flexman_gym.model.dynamics import frequencies, stiffness_matrix
 from flexman_gym.model.model import Model
 from flexman_gym.scene.scene import Scene

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from flexman_gym.common.arrays import Array
-from flexman_gym.common.checks import instance, mapping, positive, value_error, whole_number
+from flexman_gym.common.checks import instance, mapping, positive, whole_number
+from flexman_gym.common.errors import value_error
 from flexman_gym.common.files import write_data, write_file
 from flexman_gym.common.plot_style import BLUE, MIDDLE, new_figure, save_figure
 from flexman_gym.model.model import build_model

@@ -6,7 +6,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from flexman_gym.common.arrays import Array
-from flexman_gym.common.checks import one_of, value_error
+from flexman_gym.common.checks import one_of
+from flexman_gym.common.errors import value_error
 from flexman_gym.common.progress import Progress
 from flexman_gym.model.dynamics import mass_matrix
 from flexman_gym.model.model import Model, build_model

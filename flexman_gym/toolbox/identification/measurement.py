@@ -19,11 +19,10 @@ from flexman_gym.common.checks import (
     positive,
     sequence,
     set_fields,
-    suggestion,
     text,
-    value_error,
     vector,
 )
+from flexman_gym.common.errors import suggestion, value_error
 from flexman_gym.common.time_series import TimeSeries
 from flexman_gym.model.linearization import column_names
 from flexman_gym.model.model import Model

@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexman_gym.common.arrays import Array, Vector
-from flexman_gym.common.checks import value_error
 from flexman_gym.common.clock import Sampling
+from flexman_gym.common.errors import value_error
 from flexman_gym.toolbox.identification.readings import crowded_extremes, repeated_readings, rounding_step
 
 MIN_CYCLES = 2.0  # cycles of a mode in the record

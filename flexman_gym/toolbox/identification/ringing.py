@@ -7,16 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from flexman_gym.common.arrays import Array, Vector
-from flexman_gym.common.checks import (
-    flag,
-    positive,
-    sequence,
-    set_fields,
-    value_error,
-    vector,
-    warn_caller,
-    whole_number,
-)
+from flexman_gym.common.checks import flag, positive, sequence, set_fields, vector, whole_number
+from flexman_gym.common.errors import value_error, warn_caller
 from flexman_gym.common.time_series import read_time_series
 from flexman_gym.model.dynamics import damping_matrix, mass_matrix, stiffness_matrix
 from flexman_gym.model.model import Model

@@ -7,8 +7,8 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from flexman_gym.common.checks import value_error
 from flexman_gym.common.computer import optional_module
+from flexman_gym.common.errors import value_error
 from flexman_gym.common.parallel import Workers, parallel_map
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.vector_env import compile_kernels

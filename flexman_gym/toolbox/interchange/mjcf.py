@@ -21,10 +21,12 @@ from xml.etree import ElementTree
 import numpy as np
 
 from flexman_gym.common.arrays import Array
-from flexman_gym.common.checks import instance, value_error, whole_number
+from flexman_gym.common.checks import instance, whole_number
+from flexman_gym.common.errors import value_error
 from flexman_gym.model.beam import build_beam
-from flexman_gym.model.component_modes import outboard_inertias, spatial_inertia
+from flexman_gym.model.outboard_inertia import outboard_inertias
 from flexman_gym.scene.arm import Arm
+from flexman_gym.scene.inertia import spatial_inertia
 from flexman_gym.scene.joint import Joint
 from flexman_gym.scene.link import Link, NonUniformLink
 from flexman_gym.scene.rigid_body import LumpedMass, Payload

@@ -7,7 +7,7 @@ import mujoco  # type: ignore[import-not-found, import-untyped, unused-ignore]
 import numpy as np
 
 from flexman_gym.common.arrays import Array, BoolArray, IntArray
-from flexman_gym.common.checks import value_error
+from flexman_gym.common.errors import value_error
 from flexman_gym.model.model import Model
 from flexman_gym.simulation.external_simulator import ArmShapes, Stations
 from flexman_gym.simulation.physical_parameters import varied_arm

@@ -9,16 +9,18 @@ from numpy.typing import NDArray
 
 from flexman_gym.agent.network import MAX_INPUT, Network, policy_parameters
 from flexman_gym.common.arrays import Array
-from flexman_gym.common.checks import value_error
 from flexman_gym.common.computer import optional_module
+from flexman_gym.common.errors import value_error
 from flexman_gym.common.files import existing_file, write_file
 from flexman_gym.common.run_folder import BEST, NEWEST, read_npz, read_settings
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation.agent_info import training_seconds
-from flexman_gym.evaluation.agents import AgentSpec, check_settings, find_agent, observation_layout, split_interface
+from flexman_gym.evaluation.agent_spec import AgentSpec, split_interface
+from flexman_gym.evaluation.agents import find_agent
 from flexman_gym.evaluation.metrics import evaluate
 from flexman_gym.evaluation.policy_files import CHECK_ROWS, write_policy
 from flexman_gym.evaluation.rollouts import SELECTION_SEEDS, TEST_SEEDS, rollout
+from flexman_gym.evaluation.trained_agents import check_settings, observation_layout
 
 DEFAULT_LICENCE = "MIT"
 CHECK_SEEDS = SELECTION_SEEDS[:16]  # seeds of the episodes whose observations are stored as a check of the network

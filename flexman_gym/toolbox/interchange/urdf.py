@@ -15,18 +15,8 @@ import numpy as np
 
 from flexman_gym.common import files
 from flexman_gym.common.arrays import Array
-from flexman_gym.common.checks import (
-    finite,
-    mapping,
-    non_negative,
-    number_array,
-    one_of,
-    sequence,
-    short_path,
-    short_repr,
-    value_error,
-    warn_caller,
-)
+from flexman_gym.common.checks import finite, mapping, non_negative, number_array, one_of, sequence
+from flexman_gym.common.errors import short_path, short_repr, value_error, warn_caller
 from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.inertia import Body
 from flexman_gym.scene.serialization import find_arm

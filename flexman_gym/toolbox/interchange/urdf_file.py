@@ -11,7 +11,7 @@ from xml.parsers import expat
 import numpy as np
 
 from flexman_gym.common.arrays import Array
-from flexman_gym.common.checks import short_repr, value_error
+from flexman_gym.common.errors import short_repr, value_error
 
 TURNING, SLIDING, FIXED = ("revolute", "continuous"), "prismatic", "fixed"  # types of joints with a meaning here
 EXPAND = "expand macros (xacro) first"  # advice for a file with macros

@@ -13,18 +13,21 @@ from typing import Any
 
 import numpy as np
 
-from flexman_gym.common.checks import value_error
 from flexman_gym.common.computer import computer_info
+from flexman_gym.common.errors import value_error
 from flexman_gym.common.files import check_output, write_atomically
+from flexman_gym.common.formatting import millimetres
 from flexman_gym.common.parallel import Workers
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.envs.registration import NOMINAL
 from flexman_gym.envs.tasks import plain_task
-from flexman_gym.evaluation.agents import INTERFACE, find_agent
+from flexman_gym.evaluation.agent_spec import INTERFACE
+from flexman_gym.evaluation.agents import find_agent
 from flexman_gym.evaluation.metrics import LIMIT_METRICS, METRICS, task_metrics
-from flexman_gym.evaluation.policy_files import CERTIFICATE, millimetres, policy_folder, read_policy
+from flexman_gym.evaluation.policy_files import policy_folder, read_policy
 from flexman_gym.evaluation.rollouts import TEST_SEEDS
+from flexman_gym.toolbox.league.certificate_file import CERTIFICATE
 from flexman_gym.toolbox.league.rows import LIMITED, VALUES, EpisodeRow, run_league
 from flexman_gym.toolbox.league.scenarios import CHANGES, GIVEN, PLANTS, find_scenario
 from flexman_gym.toolbox.league.worst_case import worst_case
@@ -77,7 +80,7 @@ def certify(
     """
     path = policy_folder(name)
     if path is None:
-        raise value_error("agent", name, "an exported policy, by its name or folder")
+        raise value_error("agent", name, "an exported policy, by its name or folder (flexman export policy)")
     check_output(path / CERTIFICATE)
     about, environment = read_policy(path).metadata, _environment_name(name)
     task = find_scenario(environment).environment.task
@@ -203,11 +206,14 @@ def _changes_beyond_training(environment: Configuration, trained: Configuration)
     """Return changes of payload and stiffness beyond the ranges of the training, such as "payload=20:25".
 
     A parameter that the training randomised gets the range next to its range in the training, any other parameter the
-    range of its condition.
+    range of its condition for the arm, if it has the springs or flexible links of the condition.
     """
     trained_ranges, result = trained.randomised_ranges, []
     for condition in ("payload", "stiffness") if NAMED_ENVIRONMENTS[environment.id].conditions else ():
-        spans = Configuration(environment.id, {"condition": condition}).randomised_ranges
+        settings = {"arm": environment.arm, "condition": condition}
+        spans = Configuration(environment.id, settings).randomised_ranges
+        if not spans:
+            continue
         ranges = [trained_ranges[name] for name in spans if name in trained_ranges]
         low, high = next(iter(spans.values()))
         if ranges:

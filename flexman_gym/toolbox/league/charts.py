@@ -9,7 +9,7 @@ import numpy as np
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.plot_style import BLUE, DARK, GREEN, LIGHT, RED, new_figure, save_figure
 from flexman_gym.evaluation.agent_info import INFORMATION, describe_agent
-from flexman_gym.evaluation.agents import SIMPLE_AGENTS
+from flexman_gym.evaluation.agent_spec import SIMPLE_AGENTS
 from flexman_gym.evaluation.metrics import METRICS
 from flexman_gym.toolbox.league.details import short_name, sweep_text
 from flexman_gym.toolbox.league.rows import REFERENCE_AGENTS

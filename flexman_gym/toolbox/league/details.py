@@ -4,8 +4,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from flexman_gym.common.checks import value_error
-from flexman_gym.common.markdown import markdown_table, number_text
+from flexman_gym.common.errors import value_error
+from flexman_gym.common.formatting import number_text
+from flexman_gym.common.markdown import markdown_table
 from flexman_gym.envs.config.named_environments import DEFAULT_ID
 from flexman_gym.evaluation.agent_info import describe_agent, training_seconds
 from flexman_gym.evaluation.metrics import LIMIT_METRICS, MEDIAN, SHARE, Metric, task_metrics

@@ -8,10 +8,11 @@ from textwrap import fill
 import numpy as np
 
 from flexman_gym.common.files import write_file
-from flexman_gym.common.markdown import markdown_table, number_text
+from flexman_gym.common.formatting import number_text
+from flexman_gym.common.markdown import markdown_table
 from flexman_gym.envs.config.named_environments import DEFAULT_ID, NAMED_ENVIRONMENTS
 from flexman_gym.evaluation.agent_info import INFORMATION, describe_agent
-from flexman_gym.evaluation.agents import SIMPLE_AGENTS
+from flexman_gym.evaluation.agent_spec import SIMPLE_AGENTS
 from flexman_gym.metrics.signals import BAND
 from flexman_gym.toolbox.league.charts import CHART, SWEEP_CHART, draw_charts
 from flexman_gym.toolbox.league.details import (

@@ -13,8 +13,8 @@ from typing import Any, NamedTuple, Self, TypeVar
 
 import numpy as np
 
-from flexman_gym.common.checks import short_path
 from flexman_gym.common.computer import computer_info
+from flexman_gym.common.errors import short_path
 from flexman_gym.common.files import CONVERSION, write_atomically
 from flexman_gym.common.parallel import Workers, parallel_map_unordered
 from flexman_gym.common.run_folder import BEST, NEWEST, SETTINGS

@@ -4,11 +4,13 @@ from collections.abc import Callable, Mapping
 from importlib.util import find_spec
 from typing import Any, NamedTuple
 
-from flexman_gym.common.checks import one_of, value_error
+from flexman_gym.common.checks import one_of
+from flexman_gym.common.errors import value_error
+from flexman_gym.envs.config.conditions import missing_ranges
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.named_environments import DEFAULT_ID, NAMED_ENVIRONMENTS
 from flexman_gym.envs.registration import NOMINAL
-from flexman_gym.evaluation.agents import INTERFACE
+from flexman_gym.evaluation.agent_spec import INTERFACE
 from flexman_gym.evaluation.metrics import task_metrics
 from flexman_gym.evaluation.policy_files import policy_folder, read_policy
 from flexman_gym.simulation.batch import Batch
@@ -86,12 +88,18 @@ def _number(text: str) -> int | float:
 
 
 def _range_settings(*names: str) -> Callable[[Configuration, str], dict[str, Any]]:
-    """Return the function `settings` of a change of randomised parameters to "value" or "low:high"."""
+    """Return the function `settings` of a change of randomised parameters to "value" or "low:high".
+
+    Of several parameters, those of springs or flexible links that the arm does not have are left out.
+    """
 
     def settings(environment: Configuration, value: str) -> dict[str, Any]:
+        own = [name for name in names if name not in missing_ranges(environment.arm)]
+        if not own:
+            raise value_error("arm", "one of rigid joints and links", "one with a spring or a flexible link")
         low, colon, high = value.partition(":")
         span = [_number(low), _number(high if colon else low)]
-        return {"randomisation": {**environment.randomised_ranges, **{name: list(span) for name in names}}}
+        return {"randomisation": {**environment.randomised_ranges, **{name: list(span) for name in own}}}
 
     return settings
 
@@ -233,3 +241,9 @@ def _find_environment(name: str) -> Configuration:
     else:
         whole = Configuration.find(name.removesuffix(f"/{NOMINAL}"))
     return whole.without(INTERFACE)
+
+
+def change_name(scenario: str) -> str:
+    """Return the change in the name of a scenario, such as "delay=3" or "@mujoco", without "+given"."""
+    where, at, plant = scenario.partition("@")
+    return at + plant or where.rpartition("/")[2].removesuffix(GIVEN)

@@ -7,9 +7,10 @@ from functools import cache, cached_property
 import numpy as np
 
 from flexman_gym.common.arrays import Array
-from flexman_gym.common.markdown import markdown_table, number_text
+from flexman_gym.common.formatting import number_text
+from flexman_gym.common.markdown import markdown_table
 from flexman_gym.evaluation.agent_info import describe_agent
-from flexman_gym.evaluation.agents import SIMPLE_AGENTS
+from flexman_gym.evaluation.agent_spec import SIMPLE_AGENTS
 from flexman_gym.metrics import (
     improvements,
     interquartile_mean,

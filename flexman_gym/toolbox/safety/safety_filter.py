@@ -18,8 +18,9 @@ from flexman_gym.agent.action_modes import ActionMode
 from flexman_gym.agent.controller import Controller, EpisodeInfo, Plant, Readings
 from flexman_gym.agent.mode_wrapper import ModeWrapper
 from flexman_gym.common.arrays import Array, BoolArray, IntArray, pad_rows
-from flexman_gym.common.checks import non_negative, value_error
+from flexman_gym.common.checks import non_negative
 from flexman_gym.common.computer import optional_module
+from flexman_gym.common.errors import value_error
 from flexman_gym.kernels.layout import ARMS_PER_GROUP, LARGEST_STATE, OUTPUTS
 from flexman_gym.model.statics import holding_torques
 from flexman_gym.toolbox.controllers.observers.uncertain_states import StateSource, find_state_source

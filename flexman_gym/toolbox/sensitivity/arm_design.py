@@ -9,7 +9,8 @@ import numpy as np
 
 from flexman_gym.agent.pd import stability_limit
 from flexman_gym.common.arrays import Array, Vector
-from flexman_gym.common.checks import one_of, value_error, vector, whole_number
+from flexman_gym.common.checks import one_of, vector, whole_number
+from flexman_gym.common.errors import value_error
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.tasks.slew import Slew
 from flexman_gym.metrics import BAND, SETTLING_WINDOW

@@ -19,10 +19,10 @@ import numpy as np
 
 from flexman_gym.common.arrays import Array, Vector
 from flexman_gym.model.beam import element_stiffness
-from flexman_gym.model.component_modes import zero_pose_rotations
 from flexman_gym.model.dynamics import damping_matrix, inertial_forces, mass_matrix, stiffness_matrix
 from flexman_gym.model.element import GAUSS_POINTS, NODE_COORDINATES
 from flexman_gym.model.model import build_model
+from flexman_gym.model.outboard_inertia import zero_pose_rotations
 from flexman_gym.model.state_space import natural_modes
 from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.input_checks import replace_quietly

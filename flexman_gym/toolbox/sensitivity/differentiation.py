@@ -16,7 +16,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from flexman_gym.common.arrays import Array
-from flexman_gym.common.checks import one_of, sequence, value_error
+from flexman_gym.common.checks import one_of, sequence
+from flexman_gym.common.errors import value_error
 from flexman_gym.kernels import layout
 from flexman_gym.kernels.layout import ARMS_PER_GROUP, STATUS, Constants
 from flexman_gym.model.deformation import root_strain_matrix

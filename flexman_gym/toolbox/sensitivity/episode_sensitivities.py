@@ -13,7 +13,8 @@ from flexman_gym.agent.agent import History
 from flexman_gym.agent.controller import Controller, Readings
 from flexman_gym.agent.mode_wrapper import ModeWrapper
 from flexman_gym.common.arrays import Array, BoolArray
-from flexman_gym.common.checks import one_of, value_error
+from flexman_gym.common.checks import one_of
+from flexman_gym.common.errors import value_error
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.episodes import Episodes
 from flexman_gym.envs.limits import Limits
@@ -35,7 +36,8 @@ from flexman_gym.envs.sensors.sensor import MeasuredView
 from flexman_gym.envs.tasks import Hold, Slew, Track
 from flexman_gym.envs.tasks.rewards import REWARDS
 from flexman_gym.envs.view import View
-from flexman_gym.evaluation.agents import AgentSpec, find_agent
+from flexman_gym.evaluation.agent_spec import AgentSpec
+from flexman_gym.evaluation.agents import find_agent
 from flexman_gym.evaluation.rollouts import TEST_SEEDS, Rollout, rollout
 from flexman_gym.kernels import layout
 from flexman_gym.scene.arm import Arm
@@ -174,7 +176,7 @@ class _Derivatives(ModeWrapper):
 
     def _begin(self, episodes: Episodes) -> None:
         """Prepare the derivatives at the start, and take the place of the action mode."""
-        agent, batch, model, law = self._agent, episodes.batch, episodes.batch.model, self._spec.law
+        agent, batch, model, law = self._agent, episodes.batch, episodes.batch.model, self._agent.law
         able = hasattr(agent.mode, "derivatives") and _differentiable(agent.base)
         if not able or not (law is None or hasattr(law, "derivatives")):
             raise value_error("agent", self._spec.name, f"one with derivatives: {DIFFERENTIATED}")
@@ -216,14 +218,14 @@ class _Derivatives(ModeWrapper):
 
     def act(self, actions: Array, readings: Readings, applied: Array, active: BoolArray) -> Array:
         """Compute the derivatives of the torques of this control period, and return the torques (1, n)."""
-        agent, sensing, law = self._agent, self._sensing, self._spec.law
+        agent, sensing, law = self._agent, self._sensing, self._agent.law
         if self._periods % agent.action_repeat == 0:
             step = self._periods // agent.action_repeat
             self._command = np.zeros_like(self._command)
             if law is not None:
                 update = self._history.add if step else self._history.begin
                 observed = update(sensing.observation(self._episodes), np.arange(len(self._rows)))
-                self._command = law.derivatives(agent.observations, observed)  # type: ignore[attr-defined]
+                self._command = law.derivatives(agent.observations, observed)
             for number, (name, part) in enumerate(self._directions):
                 if part == step and name in self.names:
                     self._command[number, self.names.index(name)] += 1.0

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexman_gym.common.arrays import Array
-from flexman_gym.common.checks import value_error
+from flexman_gym.common.errors import value_error
 from flexman_gym.common.tables import read_table, table_name
 from flexman_gym.model.dynamics import frequencies
 from flexman_gym.model.model import Model, build_model

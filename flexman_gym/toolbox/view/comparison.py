@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexman_gym.common.arrays import Array, Vector
-from flexman_gym.common.checks import value_error
+from flexman_gym.common.errors import value_error
 from flexman_gym.common.plot_style import BLUE, DARK, GREEN, LIGHT, MIDDLE, RED, VIOLET, new_figure
 from flexman_gym.model.deformation import curves
 from flexman_gym.simulation.episode import Episode

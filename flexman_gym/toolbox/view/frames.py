@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexman_gym.common.arrays import Array, Vector
-from flexman_gym.common.checks import flag, non_negative, number_array, positive, value_error, vector, whole_number
+from flexman_gym.common.checks import flag, non_negative, number_array, positive, vector, whole_number
+from flexman_gym.common.errors import value_error
 from flexman_gym.common.plot_style import VIOLET, rgb, round_up
 from flexman_gym.kernels import raster
 from flexman_gym.model.deformation import curves, gauge_radii

@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexman_gym.common.arrays import Array, Vector
-from flexman_gym.common.checks import value_error, vector, whole_number
+from flexman_gym.common.checks import vector, whole_number
+from flexman_gym.common.errors import value_error
 from flexman_gym.common.plot_style import DARK, LIGHT, LINK_COLOURS, MIDDLE, new_figure, save_figure
 from flexman_gym.model.deformation import curves
 from flexman_gym.model.dynamics import frequencies

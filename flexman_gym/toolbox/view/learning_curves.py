@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from flexman_gym.common.arrays import Array
-from flexman_gym.common.checks import short_path, suggestion, value_error
+from flexman_gym.common.errors import short_path, suggestion, value_error
 from flexman_gym.common.plot_style import LIGHT, LINK_COLOURS, new_figure, save_figure
 from flexman_gym.common.tables import read_csv_rows
 

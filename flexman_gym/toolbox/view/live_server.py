@@ -11,7 +11,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Any, Protocol
 
-from flexman_gym.common.checks import error_text, value_error
+from flexman_gym.common.errors import error_text, value_error
 
 MAX_BODY = 65536  # bytes; longest control message
 MAX_CONNECTIONS = 64  # connections at the same time; further ones are closed at once

@@ -11,18 +11,8 @@ import numpy as np
 
 from flexman_gym.agent.pd import PD
 from flexman_gym.common.arrays import Array
-from flexman_gym.common.checks import (
-    error_text,
-    finite,
-    flag,
-    mapping,
-    one_of,
-    sequence,
-    text,
-    value_error,
-    vector,
-    whole_number,
-)
+from flexman_gym.common.checks import finite, flag, mapping, one_of, sequence, text, vector, whole_number
+from flexman_gym.common.errors import error_text, value_error
 from flexman_gym.common.files import new_folder
 from flexman_gym.common.run_folder import SETTINGS as RUN_SETTINGS
 from flexman_gym.envs.config.configuration import Configuration
@@ -31,9 +21,10 @@ from flexman_gym.envs.effects import SIGNALS
 from flexman_gym.envs.episodes import Episodes
 from flexman_gym.envs.registration import NOMINAL
 from flexman_gym.envs.rendering import make_renderer
-from flexman_gym.evaluation.agents import AGENTS, find_agent
+from flexman_gym.evaluation.agents import find_agent
 from flexman_gym.evaluation.policy_files import METADATA
 from flexman_gym.evaluation.rollouts import TEST_SEEDS, RolloutLoop, save_rollouts
+from flexman_gym.evaluation.trained_agents import AGENTS
 from flexman_gym.simulation.physical_parameters import PARAMETERS
 from flexman_gym.toolbox.view.renderer import live_row
 from flexman_gym.toolbox.view.sliders import GAIN_SLIDERS, Slider, arm_sliders, checked_positions

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexman_gym.common.arrays import Array
-from flexman_gym.common.checks import value_error
+from flexman_gym.common.errors import value_error
 from flexman_gym.common.plot_style import DARK, LINK_COLOURS, VIOLET, round_up
 from flexman_gym.model.deformation import curves, link_shapes
 from flexman_gym.model.model import Model

@@ -4,7 +4,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from flexman_gym.common.checks import finite, mapping, value_error
+from flexman_gym.common.checks import finite, mapping
+from flexman_gym.common.errors import value_error
 from flexman_gym.common.plot_style import round_up
 from flexman_gym.envs.episodes import Episodes
 from flexman_gym.simulation.physical_parameters import PARAMETERS

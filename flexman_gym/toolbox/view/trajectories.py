@@ -10,7 +10,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from flexman_gym.common.arrays import Array
-from flexman_gym.common.checks import value_error
+from flexman_gym.common.errors import value_error
 from flexman_gym.common.plot_style import BLUE, DARK, LIGHT, LINK_COLOURS, MIDDLE, RED, new_figure, save_figure
 from flexman_gym.simulation.trajectory import Trajectory
 

@@ -11,7 +11,8 @@ from typing import BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from flexman_gym.common.checks import positive, value_error
+from flexman_gym.common.checks import positive
+from flexman_gym.common.errors import value_error
 from flexman_gym.common.files import write_file
 
 COLOUR_TOLERANCE = 6  # levels of 255; largest colour error for which a pixel of a GIF stays as in the previous frame

@@ -1,7 +1,6 @@
 """Page of the benchmark: speeds of environments, training and start-up."""
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 
 from flexman_gym.common.markdown import markdown_table
 from studies.benchmark.endurance import ALARMS, DIVERGED, MEMORY, STEPS, WARM_MEMORY, EnduranceRow
@@ -20,10 +19,8 @@ from studies.benchmark.measure import (
     WARM,
     BenchmarkRow,
 )
-from studies.files import read_comments, read_rows
 from studies.screen import screen
 
-PAGE, ROWS_FILE, ENDURANCE_FILE = "benchmark.md", "benchmark.csv", "endurance.csv"
 SHOWN = (64, 256, 1024)  # numbers of arms in the table
 QUESTION = "How many steps per second does one core compute?"
 ANSWER = "**One core computes {single} steps per second of one arm, and {best} of {arms} arms in one environment.**"
@@ -118,13 +115,3 @@ def _endured(rows: Sequence[EnduranceRow]) -> list[str]:
     growth = known[MEMORY] / known[WARM_MEMORY] - 1.0
     numbers = {"steps": number(known[STEPS]), "diverged": number(known[DIVERGED]), "alarms": number(known[ALARMS])}
     return [ENDURED.format(**numbers, growth=growth)]
-
-
-def publish(folder: Path) -> str:
-    """Write the page from the files of a folder and return it."""
-    file, more = folder / ROWS_FILE, folder / ENDURANCE_FILE
-    files = [each for each in (file, more) if each.exists()]
-    endured = read_rows(more, EnduranceRow) if more.exists() else []
-    text = page(read_rows(file, BenchmarkRow), endured, read_comments(*files))
-    (folder / PAGE).write_text(text, encoding="utf-8")
-    return text

@@ -32,7 +32,7 @@ Settled shares of `adaptive-lqr` in other cases, of {episodes} episodes where no
 
 Extremes and single effects have {few} episodes, each random arm {random}. No setting was tuned on these episodes. CPU
 times of an action are in the [league](../league/league.md). Rows: [control.csv](control.csv), by
-`python scripts/control.py --folder docs/evidence`; with `--redraw` only the page.
+`python -m studies control --folder docs/evidence`; with `--redraw` only the page.
 """
 AGENTS = ("privileged-lqr", "adaptive-lqr", "lab-flexrrr")
 LAB = "unknown-lab"

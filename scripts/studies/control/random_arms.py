@@ -8,6 +8,7 @@ from numpy.random import Generator
 
 import flexman_gym as fm
 from flexman_gym.common.arrays import Array
+from flexman_gym.envs.config.configuration import Configuration
 
 Vector3 = tuple[float, float, float]
 X, Y, Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
@@ -15,14 +16,8 @@ MIN_REACH, MAX_REACH = 0.5, 10.0  # m
 TAPER = 0.8  # dimensionless; diameter of a link relative to that of the link before it
 MAX_SAG = 0.05  # rad; largest twist of a joint under the weight of the outstretched arm with twice its payload
 DAMPING_RATIO = 0.01  # dimensionless; of a joint with the arm outstretched
-LARGE_REACH = 2.0  # m; arms of a larger reach have a control period of 20 ms, smaller arms of 10 ms
-# Relative ranges and sensor errors of the condition uncertain
-UNCERTAIN: dict[str, Any] = {
-    "joint_stiffness_factor": [0.5, 1.5], "link_stiffness_factor": [0.5, 1.5],
-    "viscous_friction_factor": [0.0, 1.5], "coulomb_friction_factor": [0.0, 1.5], "delay": [0, 3],
-    "sensor_noise": [0.001, 0.003], "sensor_bias": [-0.003, 0.003], "gauge_gain_factor": [0.98, 1.02],
-    "dropped_samples": [0.01, 0.01],
-}  # fmt: skip
+# Fractions of the measurement range: noise of 0.3 to 1 mrad and biases up to 0.3 mrad of the motor angles
+SENSOR_ERRORS = {"sensor_noise": [1e-4, 3e-4], "sensor_bias": [-1e-4, 1e-4]}
 
 
 class _DriveSizes(NamedTuple):
@@ -72,19 +67,12 @@ def random_arm(seed: int) -> fm.Arm:
 
 
 def uncertain_environment(arm: fm.Arm) -> dict[str, Any]:
-    """Return the settings of FlexRRR-v0 for an arm with uncertain parameters and sensors of a laboratory.
+    """Return the settings of FlexRRR-v0 for an arm in the condition uncertain, with the sensor errors of data sheets.
 
-    The payload ranges from none to twice the nominal one, the other ranges are those of the condition uncertain.
+    Control period, horizon, limits and payloads follow from the arm.
     """
-    reach = sum(link.length for link in arm.links)
-    period = 0.02 if reach > LARGE_REACH else 0.01
-    assert arm.payload is not None
-    payload = [0.0, 2.0 * arm.payload.mass]
-    return {
-        "arm": arm, "sensors": "lab", "control_period": period,
-        "limits": fm.Limits(rate=20.0, twist=0.5),
-        "randomisation": {"payload_mass": payload, **UNCERTAIN},
-    }  # fmt: skip
+    settings = Configuration("FlexRRR-v0", {"arm": arm, "condition": "uncertain"}).given
+    return {**settings, "randomisation": {**settings["randomisation"], **SENSOR_ERRORS}}
 
 
 def _random_axes(random: Generator, count: int) -> list[Vector3]:

@@ -13,7 +13,8 @@ from flexman_gym.agent import network
 from flexman_gym.common.arrays import Array
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.episodes import Episodes
-from flexman_gym.evaluation.agents import AgentSpec, find_agent
+from flexman_gym.evaluation.agent_spec import AgentSpec
+from flexman_gym.evaluation.agents import find_agent
 from flexman_gym.kernels import layout
 from flexman_gym.simulation.batch import Batch
 

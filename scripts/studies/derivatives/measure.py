@@ -9,7 +9,7 @@ import numpy as np
 
 import flexman_gym as fm
 from flexman_gym.common.arrays import Array
-from flexman_gym.evaluation.agents import AgentSpec
+from flexman_gym.evaluation.agent_spec import AgentSpec
 from flexman_gym.simulation.methods import Method
 from studies.derivatives import dimensions, scenes
 from studies.derivatives.differences import Motions, allowed, deviations, remainder_orders

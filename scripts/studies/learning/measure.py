@@ -16,7 +16,8 @@ from flexman_gym.common.parallel import Workers, parallel_map
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.envs.vector_env import FlexManVectorEnv, compile_kernels
-from flexman_gym.evaluation.agents import AgentSpec, find_agent, split_interface
+from flexman_gym.evaluation.agent_spec import AgentSpec, split_interface
+from flexman_gym.evaluation.agents import find_agent
 from flexman_gym.evaluation.metrics import METRICS
 from flexman_gym.evaluation.policy_files import POLICIES
 from flexman_gym.evaluation.rollouts import TEST_SEEDS, rollout

@@ -10,20 +10,15 @@ from textwrap import fill
 from typing import Any
 
 from flexman_agents.settings import find_recipe
+from flexman_gym.common.formatting import millimetres
 from flexman_gym.common.markdown import markdown_table
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.evaluation.agent_info import describe_agent, information_kind, policy_information
-from flexman_gym.evaluation.policy_files import (
-    POLICIES,
-    change_name,
-    exceeded_limits,
-    millimetres,
-    policy_folder,
-    read_certificate,
-    read_policy,
-)
+from flexman_gym.evaluation.policy_files import POLICIES, policy_folder, read_policy
 from flexman_gym.evaluation.rollouts import TEST_SEEDS
 from flexman_gym.toolbox.league import certificate
+from flexman_gym.toolbox.league.certificate_file import exceeded_limits, read_certificate
+from flexman_gym.toolbox.league.scenarios import change_name
 from studies.environments.measure import Baseline
 from studies.files import split_waiting
 from studies.learning.measure import (

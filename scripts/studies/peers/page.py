@@ -41,26 +41,15 @@ MuJoCo's pieces agree to millimetres.
 HEADS = ("code", "model", "method, step", "error, mm", "CPU ms per s")
 
 
-def publish(
-    rows: Sequence[PrecisionRow], losses: Sequence[Decay], floor: float, folder: Path, files: Mapping[str, str]
-) -> str:
-    """Draw the chart, write the page and return its text.
+def draw(every: Sequence[PrecisionRow], floor: float, folder: Path) -> None:
+    """Plot our Pareto front as a line and the runs of each family of other simulators as points.
 
     Args:
-        rows: all runs.
-        losses: numerical damping of the integrators.
+        every: all runs.
         floor: error of the reference, m.
         folder: output folder.
-        files: files of rows and losses with their comments.
     """
-    _draw(*_parts(rows), floor, folder / PICTURE)
-    text = page(rows, losses, files)
-    (folder / "peers.md").write_text(text, encoding="utf-8")
-    return text
-
-
-def _draw(rows: Sequence[PrecisionRow], peers: Sequence[PrecisionRow], floor: float, path: Path) -> None:
-    """Plot our Pareto front as a line and the runs of each family of other simulators as points."""
+    rows, peers = _parts(every)
     figure, axes = new_panel(TITLE)
     draw_runs(axes, front(rows, "total_error", floor), "total_error", "flexman_gym, cheapest runs",
               {"color": BLUE, "marker": "s", "linewidth": 2.0, "drawstyle": "steps-post"})  # fmt: skip
@@ -70,7 +59,7 @@ def _draw(rows: Sequence[PrecisionRow], peers: Sequence[PrecisionRow], floor: fl
         draw_runs(axes, own, "total_error", name, look)
     draw_floor(axes, floor, "agreement of the finest models")
     axes.set_ylabel("largest distance of the tip\nfrom the independent code (m)")
-    finish(figure, path)
+    finish(figure, folder / PICTURE)
 
 
 def _parts(rows: Sequence[PrecisionRow]) -> tuple[list[PrecisionRow], list[PrecisionRow]]:
@@ -81,7 +70,13 @@ def _parts(rows: Sequence[PrecisionRow]) -> tuple[list[PrecisionRow], list[Preci
 
 
 def page(every: Sequence[PrecisionRow], losses: Sequence[Decay], files: Mapping[str, str]) -> str:
-    """Return the page as Markdown; see `publish` for the arguments."""
+    """Return the page as Markdown.
+
+    Args:
+        every: all runs.
+        losses: numerical damping of the integrators.
+        files: files of rows and losses with their comments.
+    """
     rows, peers = _parts(every)
     mujoco = _cheapest(row for row in peers if (row.model, row.method) == ("MuJoCo, 8 pieces", "Euler"))
     error = mujoco.total_error or 0.0

@@ -1,4 +1,4 @@
-"""Page of the work-precision study, and the files of the study."""
+"""Page of the work-precision study, and the computation of its rows."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -7,13 +7,11 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from flexman_gym.common.computer import computer_text
 from flexman_gym.common.markdown import markdown_table
 from flexman_gym.common.parallel import Workers, parallel_map
 from flexman_gym.envs.vector_env import compile_kernels
-from studies.files import read_comments, read_rows, write_rows
 from studies.methods import extrapolations_of, fixed_step_methods, methods_of
-from studies.precision.charts import PICTURE, draw
+from studies.precision.charts import PICTURE
 from studies.precision.measure import (
     Floor,
     PrecisionRow,
@@ -100,17 +98,13 @@ def _least(rows: Sequence[PrecisionRow], scene: str, model: str) -> float:
     return min((error for error in errors if error is not None), default=math.inf)
 
 
-ROWS_FILE, FLOORS_FILE, PAGE_FILE = "work_precision.csv", "work_precision_truths.csv", "work_precision.md"
-
-
 def compute(
-    reference: Path, folder: Path, quick: bool = False, workers: Workers | int = 1, kept: Path | None = None
-) -> None:
-    """Compute all rows, or a small grid of a short scene, and write the files of rows and floors.
+    reference: Path, quick: bool = False, workers: Workers | int = 1, kept: Path | None = None
+) -> tuple[list[PrecisionRow], list[Floor]]:
+    """Return the rows of all runs and the errors of the reference solutions, or those of a small grid of a short scene.
 
     Args:
         reference: folder of the reference scenes and solutions.
-        folder: output folder.
         quick: compute only the small grid.
         workers: see `common.parallel.parallel_map`.
         kept: folder of finished cells, see `common.parallel.parallel_map`.
@@ -122,8 +116,7 @@ def compute(
     for done in parallel_map(_computed, cells, workers, kept, compile_kernels):
         rows += [PrecisionRow(**row) for row in done["rows"]]
         floors |= {(each["scene"], each["model"]): Floor(**each) for each in done["floors"]}
-    write_rows(rows, folder / ROWS_FILE, comment=computer_text())
-    write_rows(list(floors.values()), folder / FLOORS_FILE, comment=computer_text())
+    return rows, list(floors.values())
 
 
 def _computed(cell: tuple[str, str, str]) -> dict[str, Any]:
@@ -141,14 +134,3 @@ def _known_study(reference: str, scene: str) -> tuple[Study, tuple[str, ...]]:
         return quick_study(), ()
     case = next(case for case in cases(Path(reference)) if case.name == scene)
     return study(case, Path(reference)), case.timed
-
-
-def publish(folder: Path) -> None:
-    """Draw the chart (with Matplotlib only) and write the page from the files of a folder."""
-    files = folder / ROWS_FILE, folder / FLOORS_FILE
-    rows, floors = read_rows(files[0], PrecisionRow), read_rows(files[1], Floor)
-    try:
-        draw(rows, floors, folder)
-    except ImportError as error:
-        print(f"no chart: {error}")
-    (folder / PAGE_FILE).write_text(page(rows, floors, read_comments(*files)), encoding="utf-8")

@@ -15,7 +15,7 @@ from flexman_gym.common.arrays import Array
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.episodes import Episodes
 from flexman_gym.envs.view import View
-from flexman_gym.evaluation.agents import AgentSpec
+from flexman_gym.evaluation.agent_spec import AgentSpec
 from flexman_gym.evaluation.metrics import METRICS
 from flexman_gym.evaluation.rollouts import rollout
 from flexman_gym.metrics.statistics import upper_median

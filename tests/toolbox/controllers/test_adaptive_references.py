@@ -10,14 +10,16 @@ from flexman_gym.model.dynamics import acceleration
 from flexman_gym.model.friction import friction_torques, frictionless
 from flexman_gym.model.statics import rest_tips
 from flexman_gym.simulation.physical_parameters import varied_model
+from flexman_gym.toolbox.controllers.arm_scales import SlewBounds, ringing_period
 from flexman_gym.toolbox.controllers.references.adaptive_references import (
-    CANDIDATE_DURATIONS,
     PathReferences,
     SlewReferences,
+    candidate_durations,
 )
 from flexman_gym.toolbox.controllers.references.trajectories import plan_slew
 
 ONE, LIMITS, SHARE = np.array([0]), np.array([12.0, 4.0]), 0.9
+BOUNDS = SlewBounds(LIMITS, SHARE)
 PAYLOADS = (0.0, 0.1, 0.2)
 RUBBING = {"viscous_friction": 0.4, "coulomb_friction": 0.3}
 START, GOAL = np.array([[0.2, -0.3]]), np.array([[0.7, 0.5]])
@@ -34,9 +36,9 @@ def model(rigid=False, **joint):
     return fm.build_model(arm(**joint), 1, None if rigid else 1, **flexible)
 
 
-def begun(own, payloads=PAYLOADS, parameters=None, start=START, goal=GOAL):
+def begun(own, payloads=PAYLOADS, parameters=None, start=START, goal=GOAL, bounds=BOUNDS):
     """A slew of one arm that begins at 0 s."""
-    slews = SlewReferences(own, LIMITS, SHARE, payloads)
+    slews = SlewReferences(own, bounds, payloads)
     slews.allocate(1)
     slews.begin(ONE, start, goal)
     slews.adapt(ONE, parameters or {})
@@ -75,7 +77,7 @@ def test_a_flexible_arm_is_bent_as_on_a_minimum_jerk_slew():
     """Without weight; what a planned slew solves for at each moment comes from tables here, linear in the inertia."""
     own = fm.build_model(replace(arm(), gravity=(0.0, 0.0, 0.0)), 1, 1)
     slews = begun(own, (own.constants.payload_mass[0],))
-    path = plan_slew(own, START[0], GOAL[0], LIMITS, SHARE, 0.02).path
+    path = plan_slew(own, START[0], GOAL[0], BOUNDS, 0.02).path
     lasting, d = slews.duration[0], own.n_dof
     result, expected = [], []
     for now in times(slews, 21)[:, None]:
@@ -100,7 +102,58 @@ def test_no_torque_is_above_the_share_of_the_limits_and_the_way_is_not_slower_th
         rates = slews.at(now, ONE)[1] * slews.displacement[0]
         shares.append(np.abs((slews.motion(now, now, ONE)[1][0] + friction_torques(own, rates)) / LIMITS).max())
     assert 0.85 * SHARE < max(shares) < 1.01 * SHARE
-    assert CANDIDATE_DURATIONS[0] < slews.duration[0] < CANDIDATE_DURATIONS[-1]
+    assert slews.durations[0] < slews.duration[0] < slews.durations[-1]
+
+
+STEP = 1.045  # ratio of two durations that are tried
+
+
+@pytest.mark.parametrize("rates", [(0.2, 9.0), (9.0, 0.2), (0.5, 0.5)])
+def test_rates_of_a_slew_are_within_their_bounds_and_reach_them(rates):
+    """In steps of the durations that are tried; at a new timing amid the slew, too."""
+    own = model()
+    slews = begun(own, bounds=SlewBounds(LIMITS, SHARE, np.array(rates)))
+    for part in (0.0, 0.4):
+        if part:
+            slews.plan_timing(ONE, part * slews.duration, first=False)
+        now = times(slews, 300)
+        speeds = np.array([slews.at(each, ONE)[1][0] for each in now[:, None]])
+        shares = np.abs(speeds[:, None] * slews.displacement) / rates
+        assert 0.93 < shares.max() < 1.01
+
+
+@pytest.mark.parametrize("part", [0.1, 0.5])
+def test_a_slew_is_not_shorter_than_the_periods_of_its_bounds_at_any_planning(part):
+    """Of an arm with strong motors, from its start to its end; the period is that of the estimated payload."""
+    own = varied_model(model(), payload_mass=0.1)
+    bounds = SlewBounds(1e3 * LIMITS, SHARE, vibrations=1.6)
+    slews = begun(own, bounds=bounds)
+    expected = 1.6 * ringing_period(own, GOAL[0])
+    assert expected <= slews.duration[0] <= STEP * expected * (1.0 + 1e-9)
+    now = part * slews.duration
+    slews.plan_timing(ONE, now, first=False)
+    longest = now[0] + STEP * max(expected - now[0], slews.durations[0])
+    assert expected <= (slews.start_time + slews.duration)[0] <= longest
+
+
+@pytest.mark.parametrize("payload", [0.0, 0.2])
+def test_the_shortest_slew_follows_the_estimated_payload_and_stiffness(payload):
+    own, bounds, factors = model(), SlewBounds(1e3 * LIMITS, SHARE, vibrations=1.6), np.full(2, 0.8)
+    soft = own.constants.joint_stiffness * 0.8
+    true = varied_model(own, payload_mass=payload, link_stiffness_factor=factors, joint_stiffness=soft)
+    parameters = {"payload_mass": np.array([payload]), "joint_stiffness": soft[None]}
+    parameters["link_stiffness_factor"] = factors[None]
+    slews, expected = begun(own, parameters=parameters, bounds=bounds), 1.6 * ringing_period(true, GOAL[0])
+    assert expected / 1.02 <= slews.duration[0] <= 1.02 * STEP * expected
+
+
+@pytest.mark.parametrize("slew", [0.03, 3.0, 300.0])
+def test_durations_that_are_tried_are_in_proportion_to_the_slew(slew):
+    """All from one sequence, so that the grid of an arm is that of another arm, moved."""
+    tried = candidate_durations(slew)
+    assert slew / 16.0 < tried[0] < slew / 14.0 and 7.5 * slew < tried[-1] < 8.5 * slew
+    steps = np.log(tried / candidate_durations(3.0)[0]) / np.log(STEP)
+    assert steps == pytest.approx(np.round(steps), abs=1e-6) and candidate_durations(3.0)[0] == 0.2
 
 
 @pytest.mark.parametrize("part", [0.2, 0.5, 0.7])
@@ -131,7 +184,7 @@ def test_arms_on_their_ways_do_not_touch_each_other():
     masses = {"payload_mass": np.array([0.0, 0.13, 0.2])}
 
     def run(arms):
-        slews = SlewReferences(own, LIMITS, SHARE, PAYLOADS)
+        slews = SlewReferences(own, BOUNDS, PAYLOADS)
         slews.allocate(3)
         slews.begin(arms, starts[arms], goals[arms])
         slews.adapt(arms, {})
@@ -224,3 +277,42 @@ def test_a_slew_is_timed_with_the_friction_that_was_found():
     assert usual.motion(*[0.5 * usual.duration] * 2, ONE)[1] == pytest.approx(
         begun(model(**RUBBING)).motion(*[0.5 * usual.duration] * 2, ONE)[1]
     )
+
+
+@pytest.mark.parametrize("goal", [(0.7, 0.5), (0.4, 0.12)])
+def test_a_slew_ends_in_the_equilibrium_of_the_estimated_arm_with_the_tip_of_the_nominal_arm(goal):
+    """The second goal is nearly stretched: its tip moves along the arm by large rotations only."""
+    own, goal = model(), np.array(goal)
+    given = {"payload_mass": 0.2, "joint_stiffness": 0.7 * own.constants.joint_stiffness}
+    parameters = {name: np.array([value]) for name, value in given.items()}
+    slews = SlewReferences(own, BOUNDS, PAYLOADS, equilibrium=True)
+    slews.allocate(1)
+    slews.begin(ONE, START, goal[None])
+    slews.adapt(ONE, parameters)
+    linear = slews.motion(np.array([9.0]), np.array([9.0]), ONE)[0][0]
+    for _ in range(3):
+        slews.end_in_equilibrium(ONE, parameters)
+    slews.plan_timing(ONE, np.zeros(1), first=True)
+    late = slews.duration + 1.0
+    (state,), (torques,) = slews.motion(late, late, ONE)
+    estimated, end = varied_model(own, **given), goal + slews.shift[0]
+    assert state == pytest.approx(fm.rest_state(estimated, end), abs=1e-9)
+    assert torques == pytest.approx(fm.holding_torques(estimated, end), abs=1e-9)
+    (tip,), (target,) = rest_tips(estimated, end[None]), rest_tips(own, goal[None])
+    assert tip == pytest.approx(target, abs=1e-4)
+    assert np.abs(linear - state).max() > 1e-3
+    slews.adapt(ONE, parameters)
+    assert slews.motion(late, late, ONE)[0][0] == pytest.approx(state, abs=1e-12)
+
+
+def test_a_slew_keeps_its_end_for_an_estimated_arm_that_cannot_hold_its_weight():
+    own = model()
+    slews = SlewReferences(own, BOUNDS, PAYLOADS, equilibrium=True)
+    slews.allocate(1)
+    slews.begin(ONE, START, GOAL)
+    slews.adapt(ONE, {})
+    slews.end_in_equilibrium(ONE, {"payload_mass": np.array([0.2])})
+    before = slews.shift.copy()
+    assert before.any()
+    slews.end_in_equilibrium(ONE, {"joint_stiffness": np.full((1, 2), 1e-3)})
+    assert np.array_equal(slews.shift, before)

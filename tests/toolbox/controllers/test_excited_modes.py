@@ -6,7 +6,7 @@ import pytest
 import flexman_gym as fm
 from flexman_gym.model.dynamics import damping_matrix, inertial_forces, mass_matrix, stiffness_matrix
 from flexman_gym.model.statics import rest_tips
-from flexman_gym.toolbox.controllers.input_shaping.shapers import excited_modes
+from flexman_gym.toolbox.controllers.excited_modes import excited_modes
 
 from oracles.assertions import refusal
 

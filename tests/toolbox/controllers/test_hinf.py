@@ -9,11 +9,11 @@ import pytest
 
 import flexman_gym as fm
 from flexman_gym.toolbox.controllers import hinf
+from flexman_gym.toolbox.controllers.cost_weights import NamedWeights
 from flexman_gym.toolbox.controllers.hinf import (
     GeneralisedPlant,
     linear_parameters,
 )
-from flexman_gym.toolbox.controllers.lqr import CostWeights
 from flexman_gym.toolbox.controllers.observers.observer import MeasurementModel
 from studies.robust.measure import (
     LOSS,
@@ -69,7 +69,7 @@ def test_the_channels_of_parameters_are_the_differences_of_the_equations_of_moti
 def test_the_sampled_plant_has_the_responses_of_the_linear_model_with_delay(plant):
     late = plant._replace(delay=(2, 2))
     model, instruments = hinf.centred_model(late), MeasurementModel(late, SENSORS)
-    result, weights = GeneralisedPlant.linearised(late, instruments, GOAL, np.inf), CostWeights.default(model)
+    result, weights = GeneralisedPlant.linearised(late, instruments, GOAL, np.inf), NamedWeights.of_reach(model)
     outputs = ("tip", "tip_velocity", "motor_angles", "motor_angles", "motor_rates", "root_strains")
     linear = fm.linearize(model, GOAL, outputs=outputs)
     frequencies = np.array([0.3, 4.0, 17.0, 120.0])

@@ -5,7 +5,7 @@ import pytest
 
 from flexman_gym.agent.controller import EpisodeInfo
 from flexman_gym.common.snapshot import get_state, set_state
-from flexman_gym.toolbox.controllers.observers.estimator import RESIMULATION_PERIODS, Estimator
+from flexman_gym.toolbox.controllers.observers.estimator import RESIMULATION_TIMES, Estimator
 from flexman_gym.toolbox.controllers.observers.innovations import (
     MAX_MISFIT,
     MEAN_FORGETTING,
@@ -19,10 +19,10 @@ UNKNOWN = {"payload_mass": (0.0, 0.3), "sensor_noise": (1e-3, 1e-3)}
 ON = np.ones(2, dtype=bool)
 
 
-def resting():
+def resting(unit=1):
     """An observer of two arms, and the bench on which they rest."""
     plant = small_plant("FlexOne-v0", UNKNOWN)
-    return Estimator(plant), Bench(plant, np.zeros((2, 1)), noise=1.0)
+    return Estimator(plant, unit=unit), Bench(plant, np.zeros((2, 1)), noise=1.0)
 
 
 def test_an_arm_that_begins_forgets_its_errors_and_no_other_does():
@@ -134,10 +134,12 @@ def test_an_arm_whose_simulation_is_lost_is_not_believed():
         assert np.isfinite(observer._states).all()
 
 
-@pytest.mark.parametrize("kind", ["began anew", "is pushed", "was drawn together"])
-def test_a_start_that_an_arm_has_left_is_never_replayed(monkeypatch, kind):
-    """At the ages of all replays; the other arm is replayed at each of them."""
-    observer, bench = resting()
+@pytest.mark.parametrize(
+    ("kind", "unit"), [("began anew", 1), ("is pushed", 1), ("was drawn together", 1), ("is pushed", 3)]
+)
+def test_a_start_that_an_arm_has_left_is_never_replayed(monkeypatch, kind, unit):
+    """At the ages of all replays, in time units; the other arm is replayed at each of them."""
+    observer, bench = resting(unit)
     bench.follow(observer, np.zeros((2, 2, 1)))
     replayed = []
     if kind == "began anew":
@@ -151,10 +153,10 @@ def test_a_start_that_an_arm_has_left_is_never_replayed(monkeypatch, kind):
         observer._states[0, 1:, observer._plant.model.motor_columns] += 1.0
         observer._reduce_perturbations(np.arange(2))
     monkeypatch.setattr(observer, "_refit", lambda arms, age: replayed.append((age, arms.tolist())))
-    for age in RESIMULATION_PERIODS:
+    for age in sorted({*RESIMULATION_TIMES, *(unit * time for time in RESIMULATION_TIMES)}):
         observer._ages[:] = age
         observer.estimate(bench.readings(), bench.applied, ON)
-    assert replayed == [(age, [1]) for age in RESIMULATION_PERIODS]
+    assert replayed == [(unit * time, [1]) for time in RESIMULATION_TIMES]
 
 
 def test_an_observer_of_a_pushed_arm_goes_on_from_what_it_kept():
@@ -170,3 +172,21 @@ def test_an_observer_of_a_pushed_arm_goes_on_from_what_it_kept():
         readings = bench.readings()
         one, same = (each.estimate(readings, bench.applied, ON) for each in (observer, other))
         assert np.array_equal(one.states, same.states) and observer._filtering.tolist() == [True, False]
+
+
+@pytest.mark.parametrize("unit", [1, 3])
+def test_an_episode_is_simulated_again_in_time_units(unit, monkeypatch):
+    """Changes are detected, and the models updated, in the same units."""
+    plant, replayed, updated, noticed = small_plant("FlexOne-v0", UNKNOWN), [], [], []
+    observer, bench = Estimator(plant, unit=unit), Bench(plant, np.zeros((2, 1)), noise=1.0)
+    bench.follow(observer, np.zeros((2, 2, 1)))
+    monkeypatch.setattr(observer, "_refit", lambda arms, age: replayed.append(age))
+    monkeypatch.setattr(observer, "_apply_change", lambda arms: updated.append(int(observer._ages[0])))
+    monkeypatch.setattr(observer._detector, "detect", lambda arms: np.ones(len(arms), dtype=bool))
+    monkeypatch.setattr(observer, "_answer_changes", lambda arms: noticed.extend([int(observer._ages[0])] * len(arms)))
+    for age in range(3, 30 * unit + 1):
+        observer._ages[:] = age
+        observer.estimate(bench.readings(), bench.applied, ON)
+    assert replayed == [unit * time for time in RESIMULATION_TIMES if time <= 30]
+    assert updated == [age for age in range(5 * unit, 30 * unit + 1, 5 * unit) if age not in replayed]
+    assert noticed[0] == 25 * unit + 1 and len(observer._weights) == RESIMULATION_TIMES[-1] * unit + 1

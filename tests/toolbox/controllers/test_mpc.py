@@ -16,7 +16,8 @@ from flexman_gym.evaluation.rollouts import rollout
 from flexman_gym.metrics import settling_time
 from flexman_gym.model.state_space import discretize
 from flexman_gym.toolbox.controllers import mpc
-from flexman_gym.toolbox.controllers.lqr import CostWeights
+from flexman_gym.toolbox.controllers.arm_scales import ArmScales
+from flexman_gym.toolbox.controllers.cost_weights import CostWeights
 
 from oracles.assertions import refusal
 
@@ -267,3 +268,21 @@ def test_a_goal_that_moves_and_a_missing_package_are_refused(monkeypatch, capsys
         mpc.MPC(model, limits, PERIOD)
     assert main(["evaluate", "mpc", "--env", "FlexOne-v0", "--episodes", "1"]) == 2
     assert capsys.readouterr().err == "the MPC needs daqp: pip install 'flexman_gym[mpc]'\n"
+
+
+@pytest.mark.parametrize("unit", [1, 3])
+def test_the_horizon_is_in_time_units(unit):
+    """A third of the control period with three periods in a unit is the same time; torques change at the same times."""
+    model, limits, _ = posed()
+    own = mpc.MPC(model, limits, PERIOD / unit, scales=ArmScales((1.0,) * 2, torque_slew=150.0 * PERIOD))
+    assert PERIOD / unit * np.array(own._blocks) == pytest.approx(PERIOD * np.array(mpc.MOVE_BLOCKS))
+    assert own._planned.shape[1] == unit * sum(mpc.MOVE_BLOCKS)
+
+
+def test_the_reference_is_within_the_rates():
+    """The largest rate of the slew is the planned one, where torques allow more."""
+    model, limits, posture = posed()
+    own = mpc.MPC(model, 1e3 * limits, PERIOD, scales=ArmScales((0.5,) * 2, torque_slew=1.0))
+    own.reset(ONLY, EpisodeInfo(np.zeros((1, 2)), posture[None], PERIOD), 1)
+    rates = own._plans[0].states[:, model.n_dof + model.motor_columns]
+    assert np.abs(rates).max() == pytest.approx(0.5, rel=0.03)

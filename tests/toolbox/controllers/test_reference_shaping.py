@@ -11,6 +11,7 @@ from flexman_gym.envs.config.plant import make_plant
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.vector_env import FlexManVectorEnv
 from flexman_gym.model.statics import rest_state
+from flexman_gym.toolbox.controllers.arm_scales import SlewBounds
 from flexman_gym.toolbox.controllers.observers.observer import Estimate
 from flexman_gym.toolbox.controllers.observers.oracle import DEVIATION_DECAY, Oracle
 from flexman_gym.toolbox.controllers.reference_shaping import (
@@ -107,7 +108,7 @@ def test_the_end_of_an_episode_is_seen_before_the_next_begins():
 def slew_of(way, **settings):
     """The slew of an arm over a way (n,) rad, that begins at 0 s."""
     env = FlexManEnv(**settings)
-    result = SlewReferences(env.simulator.model, np.array(env.torque_limit), 0.9, (0.1,))
+    result = SlewReferences(env.simulator.model, SlewBounds(np.array(env.torque_limit), 0.9), (0.1,))
     result.allocate(1)
     result.begin(ARM, np.zeros((1, len(way))), np.array([way]))
     result.adapt(ARM, {})

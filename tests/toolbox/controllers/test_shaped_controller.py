@@ -14,8 +14,9 @@ from flexman_gym.evaluation.rollouts import rollout
 from flexman_gym.model.model import build_model
 from flexman_gym.model.statics import rest_tips
 from flexman_gym.scene import catalog
+from flexman_gym.toolbox.controllers.excited_modes import excited_modes
 from flexman_gym.toolbox.controllers.input_shaping.shaped_controller import InputShapedController
-from flexman_gym.toolbox.controllers.input_shaping.shapers import design_shaper, excited_modes, shaper_residual
+from flexman_gym.toolbox.controllers.input_shaping.shapers import design_shaper, shaper_residual
 from flexman_gym.toolbox.controllers.lqr import LQR
 
 from oracles.assertions import refusal

@@ -9,10 +9,10 @@ import pytest
 import flexman_gym as fm
 from flexman_gym.common.files import write_csv
 from flexman_gym.common.time_series import read_time_series
+from flexman_gym.toolbox.controllers.excited_modes import excited_modes
 from flexman_gym.toolbox.controllers.input_shaping import shaped_motion
 from flexman_gym.toolbox.controllers.input_shaping.motion import Motion
 from flexman_gym.toolbox.controllers.input_shaping.shaped_motion import ShapedMotion
-from flexman_gym.toolbox.controllers.input_shaping.shapers import excited_modes
 from studies.machine.measure import DATA
 from studies.shaping.measure import PERIOD, real_frequencies, simulate, trapezoid
 

@@ -6,6 +6,7 @@ from scipy.linalg import expm
 
 import flexman_gym as fm
 from flexman_gym.simulation.physical_parameters import varied_model
+from flexman_gym.toolbox.controllers.excited_modes import excited_modes
 from flexman_gym.toolbox.controllers.input_shaping.shapers import (
     SHAPERS,
     TIP_VIBRATION_LIMIT,
@@ -14,7 +15,6 @@ from flexman_gym.toolbox.controllers.input_shaping.shapers import (
     ShaperEvaluation,
     convolve_samples,
     design_shaper,
-    excited_modes,
     shaper_residual,
 )
 from flexman_gym.toolbox.controllers.references.trajectories import TIMING_LAWS

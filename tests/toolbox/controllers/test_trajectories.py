@@ -12,6 +12,7 @@ from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.model.dynamics import inertial_forces, stiffness_matrix
+from flexman_gym.toolbox.controllers.arm_scales import SlewBounds
 from flexman_gym.toolbox.controllers.references.trajectories import (
     TIMING_LAWS,
     DeflectionCompensation,
@@ -163,7 +164,7 @@ def rigid():
 def test_the_slew_of_a_rigid_link_takes_the_time_of_its_closed_form(law, peak, way, limit):
     """Inertia times peak acceleration, peak times way / T^2 where it is sampled, takes its share of the limit."""
     model = rigid()
-    slew = plan_slew(model, np.zeros(1), np.array([way]), np.array([limit]), SHARE, PERIOD, law)
+    slew = plan_slew(model, np.zeros(1), np.array([way]), SlewBounds(np.array([limit]), SHARE), PERIOD, law)
     inertia = fm.mass_matrix(model, np.zeros(2))[0, 0]
     shortest = np.sqrt(peak * inertia * way / (SHARE * limit))
     assert len(slew.torques) == max(1, np.ceil(shortest / PERIOD - 1e-6))
@@ -173,6 +174,50 @@ def test_the_slew_of_a_rigid_link_takes_the_time_of_its_closed_form(law, peak, w
     assert slew.torques[:, 0] == pytest.approx(expected, rel=1e-9, abs=1e-9)
     places = way * TIMING_LAWS[law].at(np.linspace(0, 1, len(slew.states)))[0]
     assert slew.states[:, 0] == pytest.approx(places, abs=1e-12)
+
+
+@pytest.mark.parametrize(("law", "peak"), [("minimum-jerk", 1.875), ("trapezoid", 1.5), ("double-s", 1.75)])
+@pytest.mark.parametrize("way", [0.2, 2.0])
+def test_a_slew_bounded_by_rates_takes_the_time_of_its_closed_form(law, peak, way):
+    """Strong motors: peak speed of the law times way over the rate; the rates of the plan reach the bound."""
+    bounds = SlewBounds(np.array([1e4]), SHARE, np.array([0.7]))
+    slew = plan_slew(rigid(), np.zeros(1), np.array([way]), bounds, 0.005, law)
+    assert len(slew.torques) == np.ceil(peak * way / 0.7 / 0.005 - 1e-6)
+    assert 0.98 * 0.7 < np.abs(slew.states[:, 1]).max() <= 0.7 * (1.0 + 1e-9)
+
+
+def test_the_slowest_joint_decides_a_slew_bounded_by_rates():
+    """Motors that hold different weights at both ends turn by up to 2 % more or less than the links."""
+    setup = Configuration.from_keywords({"name": "FlexPlanar-v0", "elements": 1, "modes": 1})
+    model, way = resolve_fidelity(setup).model, np.array([0.3, -0.6])
+    slews = [
+        plan_slew(model, np.zeros(2), way, SlewBounds(np.full(2, 1e4), SHARE, np.array(rates)), 0.005)
+        for rates in ((0.3, 3.0), (3.0, 0.3), (3.0, 3.0))
+    ]
+    durations = [0.005 * len(each.torques) for each in slews]
+    assert durations == pytest.approx([1.875, 3.75, 0.375], rel=0.02)
+
+
+@pytest.mark.parametrize("vibrations", [0.0, 0.7, 1.6])
+def test_a_slew_of_strong_motors_takes_the_periods_of_the_first_mode(vibrations):
+    """A rigid link on a spring, whose period with the motor held is known."""
+    link = fm.Link.rigid(1.0, 1.0, (0.5, 0.0, 0.0), np.diag([0.0, 0.05, 0.05]).tolist())
+    arm = fm.Arm([link], [fm.Joint((0.0, 0.0, 1.0), 0.05, stiffness=400.0)])
+    bounds = SlewBounds(np.array([1e6]), SHARE, vibrations=vibrations)
+    slew = plan_slew(fm.build_model(arm, 1), np.zeros(1), np.array([0.5]), bounds, 0.001)
+    expected = vibrations * 2.0 * np.pi * np.sqrt(0.3 / 400.0)
+    shortest = 0.01 if vibrations == 0.0 else expected + 0.001
+    assert expected <= 0.001 * len(slew.torques) <= shortest + 1e-9
+
+
+@pytest.mark.parametrize("duration", [80.0, 900.0])
+def test_a_slew_of_weak_motors_may_take_minutes(duration):
+    """By the closed form of a rigid link."""
+    model = rigid()
+    inertia = fm.mass_matrix(model, np.zeros(2))[0, 0]
+    limit = 5.76 * inertia / (SHARE * duration**2)
+    slew = plan_slew(model, np.zeros(1), np.ones(1), SlewBounds(np.array([limit]), SHARE), 1.0)
+    assert len(slew.torques) == pytest.approx(duration, abs=1.0)
 
 
 def peak_share(path, duration, limits):
@@ -188,7 +233,7 @@ def test_a_slew_keeps_to_its_share_of_the_limits_and_takes_all_of_it(name, law):
     model, limits, rng = resolve_fidelity(setup).model, np.array(setup.torque_limit), np.random.default_rng(1)
     for _ in range(2):
         start, goal = rng.uniform(-0.8, 0.8, (2, model.n_joints))
-        slew = plan_slew(model, start, goal, limits, SHARE, setup.control_period, law)
+        slew = plan_slew(model, start, goal, SlewBounds(limits, SHARE), setup.control_period, law)
         assert slew.states[0] == pytest.approx(fm.rest_state(model, start), abs=1e-12)
         assert slew.states[-1] == pytest.approx(fm.rest_state(model, goal), abs=1e-12)
         assert np.abs(slew.torques / limits).max() <= 1.01 * SHARE
@@ -202,7 +247,7 @@ def test_a_slew_of_a_soft_arm_is_timed_as_it_bends():
     """A load that bends the links of this one takes a third more torque than those of a slow slew by 1 / T^2."""
     model = fm.build_model(fm.catalog.planar_2r(payload=fm.Payload(10.0)), 2)
     start, goal, limits = np.array([0.0, 1.2]), np.array([1.5, -1.2]), np.full(2, 20.0)
-    slew = plan_slew(model, start, goal, limits, SHARE, PERIOD)
+    slew = plan_slew(model, start, goal, SlewBounds(limits, SHARE), PERIOD)
     path, duration = slew.path, PERIOD * len(slew.torques)
     assert (60.0 / duration) ** 2 * peak_share(path, 60.0, limits) < 0.8 * SHARE
     assert peak_share(path, duration, limits) <= SHARE < peak_share(path, duration - PERIOD, limits)
@@ -214,7 +259,7 @@ def test_links_on_the_way_are_bent_as_far_as_inertia_and_weight_ask(name):
     setup = Configuration.from_keywords({"name": name})
     model, limits, random = resolve_fidelity(setup).model, np.array(setup.torque_limit), np.random.default_rng(1)
     start, goal = random.uniform(-0.8, 0.8, (2, model.n_joints))
-    slew = plan_slew(model, start, goal, limits, SHARE, setup.control_period)
+    slew = plan_slew(model, start, goal, SlewBounds(limits, SHARE), setup.control_period)
     path, duration = slew.path, setup.control_period * len(slew.torques)
     n, elastic = model.n_joints, slice(model.n_joints + model.n_motors, model.n_dof)
     way = (fm.rest_state(model, goal) - fm.rest_state(model, start))[:n]
@@ -234,7 +279,7 @@ def test_a_slow_slew_is_a_sequence_of_places_of_rest():
     setup = Configuration.from_keywords({"name": "FlexPlanar-v0"})
     model = resolve_fidelity(setup).model
     start, goal = np.array([-0.5, 0.2]), np.array([0.6, -0.4])
-    path = plan_slew(model, start, goal, np.array(setup.torque_limit), SHARE, setup.control_period).path
+    path = plan_slew(model, start, goal, SlewBounds(np.array(setup.torque_limit), SHARE), setup.control_period).path
     first, last = (fm.rest_state(model, posture)[:2] for posture in (start, goal))
     for part in (0.0, 0.3, 1.0):
         x, torques = (each[0] for each in path.at(np.array([part]), 1e4))
@@ -250,8 +295,7 @@ def test_a_goal_whose_weight_is_too_much_is_refused_in_one_line():
         resolve_fidelity(setup).model,
         np.array([np.pi / 2, 0.0]),
         np.zeros(2),
-        np.array([3.0, 1.0]),
-        SHARE,
+        SlewBounds(np.array([3.0, 1.0]), SHARE),
         0.01,
     )
     line = refusal(plan_slew, *arguments)
@@ -259,7 +303,7 @@ def test_a_goal_whose_weight_is_too_much_is_refused_in_one_line():
 
 
 def test_other_laws_are_refused_in_one_line():
-    model, arguments = rigid(), (np.ones(1), SHARE, PERIOD)
+    model, arguments = rigid(), (SlewBounds(np.ones(1), SHARE), PERIOD)
     line = refusal(plan_slew, model, np.zeros(1), np.ones(1), *arguments, "cubic")
     assert line == "timing_law: 'cubic' is not allowed; give one of minimum-jerk, trapezoid, double-s"
 
@@ -271,7 +315,7 @@ def test_a_rigid_arm_is_fed_what_inverse_dynamics_asks(name):
     arm = replace(arm, gravity=(0.3, -0.2, -9.81), payload=fm.Payload(3.0))
     model = fm.build_model(arm, flexible_links=False, flexible_joints=False)
     postures, limits = np.random.default_rng(7).uniform(-0.8, 0.8, (2, model.n_joints)), np.full(model.n_joints, 8000.0)
-    plans = [plan_slew(model, *postures, limits, SHARE, PERIOD, law) for law in TIMING_LAWS]
+    plans = [plan_slew(model, *postures, SlewBounds(limits, SHARE), PERIOD, law) for law in TIMING_LAWS]
     for plan in plans:
         count = len(plan.torques)
         motion = plan.path.motion((np.arange(count) + 0.5) / count)

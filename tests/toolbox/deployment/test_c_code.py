@@ -18,11 +18,12 @@ from flexman_gym.agent.network import Network
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.plant import make_plant
 from flexman_gym.envs.sensors.sensor import Entry
-from flexman_gym.evaluation.agents import AgentSpec
+from flexman_gym.evaluation.agent_spec import AgentSpec
 from flexman_gym.model.statics import rigid_holding_torques
 from flexman_gym.toolbox.controllers.observers.kalman_filter import KalmanFilter
+from flexman_gym.toolbox.controllers.output_feedback import OutputFeedback
 from flexman_gym.toolbox.controllers.range_check import GOOD, NOT_FINITE, OUT_OF_RANGE, holding_periods
-from flexman_gym.toolbox.controllers.tracking import OutputFeedback, Tracking
+from flexman_gym.toolbox.controllers.tracking import Tracking
 from flexman_gym.toolbox.deployment.c_code import begin_agent, write_c
 from flexman_gym.toolbox.deployment.matlab import write_matlab
 

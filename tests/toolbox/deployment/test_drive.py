@@ -8,7 +8,8 @@ import pytest
 import flexman_gym as fm
 from flexman_gym.agent.pd import PD
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.evaluation.agents import AgentSpec, find_agent
+from flexman_gym.evaluation.agent_spec import AgentSpec
+from flexman_gym.evaluation.agents import find_agent
 from flexman_gym.evaluation.rollouts import RolloutLoop, rollout
 from flexman_gym.model.linearization import LinearMeasurements
 from flexman_gym.toolbox.deployment.machine.drive import MEASURED, WARM_UP, drive

@@ -8,7 +8,7 @@ import pytest
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.evaluation.rollouts import rollout
-from flexman_gym.toolbox.controllers.input_shaping.shapers import excited_modes
+from flexman_gym.toolbox.controllers.excited_modes import excited_modes
 from flexman_gym.toolbox.controllers.margins import margins, sampled_loops
 from flexman_gym.toolbox.diagnosis import diagnosis
 from flexman_gym.toolbox.diagnosis.diagnosis import CYCLE, FAILED, NOISE, OFFSET, REMEDIES, RINGING, TRANSIENT, diagnose

@@ -11,6 +11,8 @@ import flexman_gym as fm
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.toolbox.interchange.mjcf import rigid_pieces, to_mjcf
 
+from oracles.assertions import refusal
+
 TURN = tuple(map(tuple, Rotation.from_rotvec((0.3, -0.8, 0.4)).as_matrix()))
 THIN = fm.Link(0.4, 1e-4, 3e-10, 5e-9, 1e-9, 7e10, 2.6e10, 2700.0)
 STEPPED = fm.NonUniformLink((replace(THIN, length=0.3, area=1.5e-4, second_moment_y=9e-10), THIN), TURN)
@@ -145,3 +147,21 @@ def test_a_rigid_link_stays_one_body_among_flexible_links(mujoco):
     own = fm.mass_matrix(fm.build_model(arm, 1, flexible_links=False), [0.0, 0.6, 0.0, 0.0])
     assert model.nv == 2 + 3 * 4
     assert matrices(mujoco, model, data)[0][np.ix_(motors, motors)] == pytest.approx(own, rel=1e-12)
+
+
+HUB, TWO = fm.Joint((0.0, 0.0, 1.0)), fm.catalog.planar_2r()
+STICKY = replace(HUB, coulomb_friction=1.0, static_friction=2.0)
+LOOSE = replace(TWO.joints[1], stiffness=50.0, backlash=1e-3)
+RIPPLED = replace(HUB, motor=fm.Motor(9.0, 0.1, 1e-4, ripple_cycles=1.0))
+
+
+@pytest.mark.parametrize(("arm", "pieces", "line"), [
+    (replace(TWO, joints=[LOOSE] * 2), 0, "arm.joints[0]: "),
+    (replace(TWO, joints=[RIPPLED] * 2), 0, "arm.joints[0]: "),
+    (replace(TWO, joints=[STICKY] * 2), 0, "arm.joints[0]"),
+    ("paper_rrr", 0, "arm: 'paper_rrr' is not allowed; give an Arm"),
+    (TWO, 65, "pieces: 65 is not allowed; give a whole number from 0 to 64"),
+])  # fmt: skip
+def test_arm_that_mujoco_cannot_express_is_refused_in_one_line(arm, pieces, line):
+    said = refusal(to_mjcf, arm, pieces)
+    assert said.startswith(line) and " is not allowed; give " in said, said

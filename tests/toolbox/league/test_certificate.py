@@ -2,6 +2,7 @@
 
 import csv
 import json
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -12,15 +13,15 @@ import flexman_gym as fm
 from flexman_gym.envs.config import base_and_mode
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.env import FlexManEnv
-from flexman_gym.evaluation import policy_files
 from flexman_gym.evaluation.agents import find_agent
 from flexman_gym.evaluation.metrics import METRICS
-from flexman_gym.evaluation.policy_files import CERTIFICATE, FOLDER, METADATA, POLICIES, read_certificate, write_policy
+from flexman_gym.evaluation.policy_files import FOLDER, METADATA, POLICIES, write_policy
 from flexman_gym.evaluation.rollouts import rollout
-from flexman_gym.toolbox.league import certificate, rows
+from flexman_gym.toolbox.league import certificate, certificate_file, rows
 from flexman_gym.toolbox.league.certificate import METRIC_NAMES, certify
+from flexman_gym.toolbox.league.certificate_file import CERTIFICATE, read_certificate
 from flexman_gym.toolbox.league.rows import VALUES, EpisodeBlock, EpisodeRow
-from flexman_gym.toolbox.league.scenarios import PLANTS, find_scenario
+from flexman_gym.toolbox.league.scenarios import CHANGES, PLANTS, find_scenario
 
 from oracles.assertions import refusal
 from oracles.shipped import DESCRIBED, made_up, write_still
@@ -33,7 +34,7 @@ LEAGUE = Path(__file__).parents[3] / "docs" / "league" / "rows.csv"
 def folder(tmp_path, monkeypatch):
     """A policy that does nothing beside its PD controller, under a name."""
     write_still(tmp_path / "still")
-    monkeypatch.setattr(policy_files, "FOLDER", tmp_path)
+    monkeypatch.setattr(certificate_file, "FOLDER", tmp_path)
     monkeypatch.setattr(certificate, "METHOD", "midpoint_2")  # another one compiles for long
     monkeypatch.delitem(certificate.PLANTS, "mujoco")  # and this one plays for long
     monkeypatch.setattr(certificate, "worst_case", lambda name, environment, seed: {"seed": seed})
@@ -42,7 +43,7 @@ def folder(tmp_path, monkeypatch):
 
 @pytest.mark.slow
 def test_scenarios_are_run_as_their_names_say_and_kept_beside_the_policy(folder, tmp_path):
-    assert policy_files.describe_policy("still").endswith("Made up. It has no certificate.")
+    assert certificate_file.describe_policy("still").endswith("Made up. It has no certificate.")
     said = []
     path = certify(str(folder), SEEDS, 6, tmp_path / "rows", log=said.append)
     result = json.loads(path.read_text())
@@ -75,8 +76,8 @@ def test_scenarios_are_run_as_their_names_say_and_kept_beside_the_policy(folder,
     lines = {line.split()[0].removeprefix(str(folder)): line for line in said}
     assert "does not count" in lines["/delay=3"] and "does not count" not in lines["/delay=3+given"]
     assert f"{folder} on seeds 50000 to 50005" in result["fails"]
-    assert ("delay=3", found["/delay=3+given"]["fails"]) in policy_files.exceeded_limits("still")
-    assert f"; delay=3: {found['/delay=3+given']['fails'].split(',')[0]}" in policy_files.describe_policy("still")
+    assert ("delay=3", found["/delay=3+given"]["fails"]) in certificate_file.exceeded_limits("still")
+    assert f"; delay=3: {found['/delay=3+given']['fails'].split(',')[0]}" in certificate_file.describe_policy("still")
 
 
 @pytest.mark.slow
@@ -103,27 +104,16 @@ def test_a_policy_is_described_by_its_results_and_by_the_limits_that_it_exceeds(
     row = {"environment": "FlexRRR-v0", "settled": 0.986, "settling_time": 3.184, "vibration": 6.6e-5}
     (folder / METADATA).write_text(json.dumps({**about, "league": row}))
     reached = "Made up. FlexRRR-v0: 99% settle, median 3.18 s, vibration 0.066 mm. "
-    assert policy_files.describe_policy("still") == reached + "Within all limits of its certificate."
+    assert certificate_file.describe_policy("still") == reached + "Within all limits of its certificate."
     fails = ["FlexRRR-v0@mujoco", "FlexRRR-v0/nominal/delay=2+given"]
     reasons = ["vibration 3 mm (limit 2 mm)", "80% settle (limit 95%), settling in 3.00 s (limit 2.60 s)"]
     rows = [{"scenario": name, "fails": text} for name, text in zip(fails, reasons, strict=True)]
     (folder / CERTIFICATE).write_text(json.dumps({**empty, "fails": fails, "rows": rows}))
-    assert policy_files.exceeded_limits("still") == [("@mujoco", reasons[0]), ("delay=2", reasons[1])]
+    assert certificate_file.exceeded_limits("still") == [("@mujoco", reasons[0]), ("delay=2", reasons[1])]
     text = "Beyond its limits: @mujoco: vibration 3 mm (limit 2 mm); delay=2: 80% settle (limit 95%)."
-    assert policy_files.describe_policy("still").endswith(text)
+    assert certificate_file.describe_policy("still").endswith(text)
     (folder / CERTIFICATE).write_text(json.dumps({**empty, "arrays_hash": "another"}))
-    assert policy_files.describe_policy("still").endswith(" It has no certificate.")
-
-
-def test_lengths_are_in_millimetres_as_far_as_they_count():
-    lengths = {
-        1.09e-9: "below 0.01 mm",
-        9.9e-6: "below 0.01 mm",
-        6.6e-5: "0.066 mm",
-        1.234e-3: "1.2 mm",
-        0.2814: "281 mm",
-    }
-    assert {length: policy_files.millimetres(length) for length in lengths} == lengths
+    assert certificate_file.describe_policy("still").endswith(" It has no certificate.")
 
 
 @pytest.mark.parametrize("row", [{}, 3, {"scenario": 3}, {"settled": 1.0}])
@@ -230,6 +220,27 @@ def test_friction_is_that_of_the_named_arm_and_no_other_arm_is_run_with_it(tmp_p
             for name in ("still", "own")] == [True, False]  # fmt: skip
 
 
+@pytest.mark.parametrize(
+    ("flexible", "stiffness", "stiffnesses"),
+    [(True, None, ["stiffness=0.7:1.3"]), (False, 900.0, ["stiffness=0.7:1.3"]), (False, None, [])],
+)
+def test_ranges_beyond_the_training_are_those_of_the_arm(flexible, stiffness, stiffnesses):
+    """An arm is run with 0 to 2 times its own payload, and with the stiffness of what bends."""
+    link = fm.Link.tube(0.5, 0.03, 0.002, material="aluminium")
+    link = link if flexible else replace(link, flexible=False)
+    joint = fm.Joint((0.0, 0.0, 1.0), torque_limit=5.0, stiffness=stiffness, rotor_inertia=0.02)
+    arm = fm.Arm([link, link], [joint, joint], fm.Payload(0.3), gravity=(0.0, 0.0, 0.0))
+    own = Configuration("FlexRRR-v0", {"arm": arm})
+    changes = certificate._changes_beyond_training(own, own)
+    assert changes == ["payload=0:0.6", *stiffnesses]
+    assert CHANGES["payload"].settings(own, "0:0.6")["randomisation"]["payload_mass"] == [0, 0.6]
+    names = {"joint_stiffness_factor"} if stiffness else {"link_stiffness_factor"} if flexible else set()
+    if names:
+        assert CHANGES["stiffness"].settings(own, "0.7:1.3")["randomisation"].keys() == names
+    else:
+        assert "one with a spring or a flexible link" in refusal(CHANGES["stiffness"].settings, own, "0.7:1.3")
+
+
 @pytest.mark.parametrize(("end", "delay"), [("+given", (3, 3)), ("", (1, 1))])
 def test_a_controller_is_designed_for_the_delay_that_is_given_and_else_for_its_own(end, delay, monkeypatch):
     """Torques come 3 periods late in both; the observer of `lab-flexrrr` fits its own simulations at `delay`."""
@@ -249,7 +260,8 @@ def test_a_controller_is_designed_for_the_delay_that_is_given_and_else_for_its_o
 
 
 def test_only_policies_of_tasks_in_which_something_settles(tmp_path):
-    assert refusal(certify, "pd") == "agent: 'pd' is not allowed; give an exported policy, by its name or folder"
+    allowed = "an exported policy, by its name or folder (flexman export policy)"
+    assert refusal(certify, "pd") == f"agent: 'pd' is not allowed; give {allowed}"
     path = Configuration.from_plain({"id": "FlexPlanar-Track-v0", "base": "pd", "sensors": "full", "horizon": 1.0})
     write_policy(tmp_path, *made_up(path))
     assert "a policy for a task with the metric settling_time" in refusal(certify, str(tmp_path))

@@ -15,7 +15,7 @@ from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation import action_clock
 from flexman_gym.evaluation.action_clock import ActionClock, TimedMode
 from flexman_gym.evaluation.agent_info import check_seeds_unseen, describe_agent, training_seconds
-from flexman_gym.evaluation.agents import BASELINES, AgentSpec
+from flexman_gym.evaluation.agent_spec import BASELINES, AgentSpec
 from flexman_gym.evaluation.metrics import LIMIT_METRICS, METRICS
 from flexman_gym.evaluation.rollouts import SELECTION_SEEDS, EpisodeRecord, rollout, training_seed
 from flexman_gym.toolbox.controllers.references.optimised_slews import SHIPPED_TABLE, SlewTable

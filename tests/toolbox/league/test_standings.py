@@ -5,7 +5,8 @@ import pytest
 
 from flexman_gym.common.plot_style import rgb
 from flexman_gym.evaluation.agent_info import INFORMATION, describe_agent
-from flexman_gym.evaluation.agents import AGENTS, SIMPLE_AGENTS
+from flexman_gym.evaluation.agent_spec import SIMPLE_AGENTS
+from flexman_gym.evaluation.trained_agents import AGENTS
 from flexman_gym.toolbox.league import charts
 from flexman_gym.toolbox.league.charts import CHART, LABEL_DISTANCE, LINE_COLOURS, SWEEP_CHART
 from flexman_gym.toolbox.league.details import league_details

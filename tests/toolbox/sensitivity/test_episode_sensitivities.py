@@ -8,7 +8,7 @@ import pytest
 
 import flexman_gym as fm
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.evaluation.agents import AgentSpec
+from flexman_gym.evaluation.agent_spec import AgentSpec
 from studies.derivatives.differences import allowed, deviations, remainder_orders
 from studies.derivatives.episodes import OUTPUTS, SEED, ChangedEpisode, environment, policy, size_of, unrounded
 

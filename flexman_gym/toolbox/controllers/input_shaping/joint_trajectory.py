@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 
 from flexman_gym.common.arrays import Array
-from flexman_gym.common.checks import mapping, number_array, sequence, value_error, whole_number
+from flexman_gym.common.checks import mapping, number_array, sequence, whole_number
+from flexman_gym.common.errors import value_error
 from flexman_gym.toolbox.controllers.input_shaping.waypoints import DERIVATIVES, Waypoints
 
 KNOWN_FIELDS = (*DERIVATIVES, "effort", "time_from_start")

@@ -8,7 +8,8 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 
 from flexman_gym.common.arrays import Array
-from flexman_gym.common.checks import positive, value_error
+from flexman_gym.common.checks import positive
+from flexman_gym.common.errors import value_error
 from flexman_gym.common.files import read_data, write_csv, write_data
 from flexman_gym.common.tables import is_table, table_name
 from flexman_gym.common.time_series import TimeSeries, listed

@@ -8,7 +8,7 @@ from flexman_gym.common.arrays import Vector
 from flexman_gym.common.checks import non_negative
 from flexman_gym.model.model import Model
 from flexman_gym.simulation.physical_parameters import varied_model
-from flexman_gym.toolbox.controllers.input_shaping.shapers import excited_modes
+from flexman_gym.toolbox.controllers.excited_modes import excited_modes
 from flexman_gym.toolbox.identification.ring_down import MAX_DAMPING
 from flexman_gym.toolbox.identification.ringing import DAMPING_DEVIATION, FREQUENCY_DEVIATION, Ringing
 

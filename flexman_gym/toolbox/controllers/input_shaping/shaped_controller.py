@@ -11,15 +11,16 @@ from flexman_gym.agent.base_controllers import ControllerEntry
 from flexman_gym.agent.controller import Controller, EpisodeInfo, Plant, Readings, checked_controller
 from flexman_gym.agent.pd import make_pd
 from flexman_gym.common.arrays import Array, BoolArray, IntArray, Vector, pad_rows
-from flexman_gym.common.checks import non_negative, sample_count, sequence, value_error, vector, whole_number
+from flexman_gym.common.checks import non_negative, sample_count, sequence, vector, whole_number
+from flexman_gym.common.errors import value_error
 from flexman_gym.model.model import Model, check_model
 from flexman_gym.model.statics import rest_state, rest_tips
+from flexman_gym.toolbox.controllers.excited_modes import excited_modes
 from flexman_gym.toolbox.controllers.input_shaping.shapers import (
     DEFAULT_TOLERANCE,
     Shaper,
     convolve_samples,
     design_shaper,
-    excited_modes,
 )
 from flexman_gym.toolbox.controllers.lqr import LQR
 from flexman_gym.toolbox.controllers.references.trajectories import TIMING_LAWS
@@ -57,6 +58,7 @@ class InputShapedController:
     """
 
     state_fields = ("_now", "inner")
+    c_program = "flexman_gym.toolbox.deployment.c_programs:shaped_program"
 
     def __init__(
         self,
@@ -124,6 +126,11 @@ class InputShapedController:
     def gain_units(self) -> Mapping[str, str]:
         """Units of the gains of the inner controller, by name, see `Controller`."""
         return getattr(self.inner, "gain_units", {})
+
+    @property
+    def gravity_model(self) -> Model | None:
+        """Model whose weight the inner controller compensates; None without."""
+        return getattr(self.inner, "gravity_model", None)
 
     def derivatives(self, readings: Readings, changes: Readings) -> tuple[Array, Array]:
         """Return the actions (1, n) of an arm and their derivatives (p, n), see `Controller`."""

@@ -9,7 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from flexman_gym.common.arrays import Array, pad_rows
-from flexman_gym.common.checks import mapping, one_of, physical, positive, value_error
+from flexman_gym.common.checks import mapping, one_of, physical, positive
+from flexman_gym.common.errors import value_error
 from flexman_gym.toolbox.controllers.input_shaping.motion import Motion
 from flexman_gym.toolbox.controllers.input_shaping.shapers import (
     SHAPERS,

@@ -5,8 +5,9 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from flexman_gym.common.arrays import Array
-from flexman_gym.common.checks import MAX_ENTRIES, value_error
+from flexman_gym.common.checks import MAX_ENTRIES
 from flexman_gym.common.clock import MIN_SAMPLES, Sampling, step_text
+from flexman_gym.common.errors import value_error
 
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline

@@ -27,17 +27,17 @@ from flexman_gym.toolbox.controllers.observers.perturbed_models import (
     uncertain_ranges,
 )
 
-RESIMULATION_PERIODS = (6, 12, 20, 30, 45, 65, 90, 130, 200, 300)  # control periods since the start of an episode
+RESIMULATION_TIMES = (6, 12, 20, 30, 45, 65, 90, 130, 200, 300)  # time units since the start of an episode
 DELAY_COST = 60.0  # dimensionless; cost above that of the best consistent fit beyond which a delay is excluded
 MAX_COST = 1e100  # dimensionless; cost of a diverged fit
-UPDATE_INTERVAL = 5  # control periods between two updates of the models to the estimate
+UPDATE_INTERVAL = 5  # time units between two updates of the models to the estimate
 MIN_BIAS = 1e-5  # fraction of the range; smallest assumed limit of a bias
 START_ANGLE_DEVIATION = 1e-4  # rad; prior standard deviation of start angles given by `EpisodeInfo`
 MAX_STATE = 1e4  # largest magnitude of an entry of the state of a model that has not diverged; modes reach hundreds
 MAX_PERTURBATION = 0.5  # rad; difference of motor angles beyond which perturbations are reduced
 SENSITIVE_PERTURBATION = 0.02  # rad; difference beyond which innovations correct the states: the motion is unstable
-DETECTION_START = 25  # control periods from the start of an episode to the start of change detection
-BOUNDED_START = 45  # control periods from the start after which entries at a bound move the others; linear by then
+DETECTION_START = 25  # time units from the start of an episode to the start of change detection
+BOUNDED_START = 45  # time units from the start after which entries at a bound move the others; linear by then
 CONSISTENT_MISFIT = 3.0  # dimensionless; mean square below which the estimated model explains the measurements
 START_ANGLE_BOUND = 10.0  # prior standard deviations; bound of the estimate of a start angle
 
@@ -68,6 +68,7 @@ class Estimator:
         relinearised: False to keep the linearisation of a re-simulation until the next one, so that the covariance is
             that of the errors. Updates of the models to the estimate excite vibrations that the arm does not have, and
             their sensitivities to stiffness count as information.
+        unit: control periods in a time unit, see `ArmScales.unit`.
 
     Attributes:
         theta: (b, p) parameter vectors: uncertain parameters, start angles relative to their initial guess
@@ -89,9 +90,11 @@ class Estimator:
         unknown: Mapping[str, tuple[float, float]] | None = None,
         biased: bool | None = None,
         relinearised: bool = True,
+        unit: int = 1,
     ) -> None:
         self.sensors, self._plant, self._relinearised = tuple(sensors), plant, relinearised
-        self._given = plant, self.sensors, unknown, biased
+        self._given, self._unit = (plant, self.sensors, unknown, biased), unit
+        self._resimulated = unit * np.array(RESIMULATION_TIMES)  # control periods
         instruments = self._instruments = MeasurementModel(plant, self.sensors)
         ranges = uncertain_ranges(plant) if unknown is None else unknown
         uncertain = self.uncertain = UncertainParameters(plant.model, ranges)
@@ -113,7 +116,7 @@ class Estimator:
             np.concatenate([uncertain.low, -START_ANGLE_BOUND * starts, -2.0 * errors]),
             np.concatenate([uncertain.high, START_ANGLE_BOUND * starts, 2.0 * errors]),
         )
-        self._weights = np.tile(instruments.deviations**-2.0, (RESIMULATION_PERIODS[-1] + 1, 1))
+        self._weights = np.tile(instruments.deviations**-2.0, (self._resimulated[-1] + 1, 1))
         if self._encoders is not None:
             self._weights[0, self._encoders] = 0.0  # the first readings define the start angles
         self._allocate()
@@ -165,21 +168,22 @@ class Estimator:
             self._readings[stored, self._ages[stored]] = now[stored]
             self._lost[stored, self._ages[stored]] = lost[self._ages[running] < len(self._weights)]
             resimulated = (
-                np.isin(self._ages[running], RESIMULATION_PERIODS)
+                (self._ages[running, None] == self._resimulated).any(axis=1)  # np.isin takes ten times as long
                 & ~self._perturbations_reduced[running]
                 & ~self._filtering[running]
             )
             for age in np.unique(self._ages[running[resimulated]]).tolist():
                 self._refit(running[resimulated & (self._ages[running] == age)], age)
             self._update_fit(running[~resimulated], now[running[~resimulated]], lost[~resimulated])
-            self._answer_changes(running[self._detector.detect(running) & (self._ages[running] > DETECTION_START)])
+            late = self._ages[running] > self._unit * DETECTION_START
+            self._answer_changes(running[self._detector.detect(running) & late])
         self._ages += active
         return self._state_at_effect(np.flatnonzero(active))
 
     @property
     def inconsistent(self) -> BoolArray:
         """Flags (b,) of arms whose measurements no model explains, even after a restart for a detected change."""
-        return self._detector.inconsistent & ((self._ages > DETECTION_START) | self._filtering)
+        return self._detector.inconsistent & ((self._ages > self._unit * DETECTION_START) | self._filtering)
 
     @property
     def consistent(self) -> BoolArray:
@@ -196,7 +200,7 @@ class Estimator:
 
     def consistent_copy(self) -> "Estimator":
         """Return a new estimator with the same arguments but `relinearised`, whose confidence region is consistent."""
-        return Estimator(*self._given, relinearised=False)
+        return Estimator(*self._given, relinearised=False, unit=self._unit)
 
     def confidence_region(self, arms: IntArray, deviations: float) -> UncertainStates:
         """Return the estimates of arms (r,), with deviations of each uncertain parameter, and the likely delays.
@@ -388,7 +392,7 @@ class Estimator:
         self._detector.update(arms, error * np.sqrt(precision))
         if filtered.any():
             self._correct(arms[filtered], now[filtered], lost[filtered], jacobian[filtered, :, errors])
-        due = arms[self._ages[arms] % UPDATE_INTERVAL == 0]
+        due = arms[self._ages[arms] % (self._unit * UPDATE_INTERVAL) == 0]
         if len(due):
             self._apply_change(due)
 
@@ -417,7 +421,7 @@ class Estimator:
             self._reduce_perturbations(arms[~last])
             arms = arms[last]
         before = self.theta[arms]
-        change, late = self._change[arms], self._ages[arms] > BOUNDED_START
+        change, late = self._change[arms], self._ages[arms] > self._unit * BOUNDED_START
         change[late] = self._prior.constrain(before[late], change[late], self._information[arms[late]])
         self.theta[arms] = self._prior.clip(before + change)
         self._states[arms] += row_dots(self._state_jacobian(arms), (self.theta[arms] - before)[:, None])[:, None]
@@ -435,7 +439,7 @@ class Estimator:
         self.theta[arms] = theta
         self._states[arms], self._steps[arms] = simulation.states, self._models.steps
         self._information[arms] = simulation.information + self._prior.information
-        if age <= 2 * DETECTION_START:
+        if age <= 2 * self._unit * DETECTION_START:
             self._detector.reset(arms, len(self._ages))  # innovations so far include linearisation errors
         count = self._weights[: age + 1].size - np.count_nonzero(self._lost[arms, : age + 1], axis=(1, 2))
         self._detector.misfit[arms] = simulation.cost / count

@@ -6,13 +6,15 @@ import numpy as np
 
 from flexman_gym.agent.controller import EpisodeInfo, Plant, Readings
 from flexman_gym.common.arrays import Array, BoolArray, IntArray, Vector, pad_rows, row_dots
-from flexman_gym.common.checks import flag, non_negative, value_error, vector
+from flexman_gym.common.checks import flag, non_negative, vector
+from flexman_gym.common.errors import value_error
 from flexman_gym.model.linearization import LINEAR_SENSORS
 from flexman_gym.model.statics import holding_torques, rest_state
 from flexman_gym.toolbox.controllers.internal_model import DelayCompensation, DiscreteJacobians, InternalModels
 from flexman_gym.toolbox.controllers.observers.observer import MAX_BIAS, Estimate, MeasurementModel
 
 MAX_DOUBLINGS = 20  # number of doublings, for 2^20 periods, about a million
+SMALL_POWER = 1e-8  # entry of a power of the transition matrix whose square is below a rounding error
 VARIANCE_TOLERANCE = 1e-6  # relative growth of a variance in the last doubling above which it counts as infinite
 
 
@@ -39,11 +41,21 @@ def measurement_update(covariance: Array, matrix: Array, variances: Array) -> tu
 
 
 def stationary_covariance(transition: Array, noise: Array, matrix: Array, variances: Array) -> Array:
-    """Return the stationary covariances (..., s, s) before a measurement.
+    """Return the stationary covariances (..., s, s) before a measurement; entries of unobservable states are infinite.
+
+    Arguments as in `time_update` and `measurement_update`.
+    """
+    result, before = late_covariances(transition, noise, matrix, variances)
+    now, earlier = (np.diagonal(each, axis1=-2, axis2=-1) for each in (result, before))
+    unbounded = now > (1.0 + VARIANCE_TOLERANCE) * earlier
+    return np.where(unbounded[..., None] | unbounded[..., None, :], np.inf, result)
+
+
+def late_covariances(transition: Array, noise: Array, matrix: Array, variances: Array) -> tuple[Array, Array]:
+    """Return the covariances (..., s, s) after 2^MAX_DOUBLINGS periods, and after half as many.
 
     Each iteration of the doubling algorithm doubles the number of periods and needs no eigenvalues (Anderson,
-    International Journal of Control 28, 1978, 295). Arguments as in `time_update` and `measurement_update`. Entries of
-    unobservable states are infinite.
+    International Journal of Control 28, 1978, 295). Arguments as in `stationary_covariance`.
     """
     alpha, information, result = transition.mT, (matrix.T / variances) @ matrix, noise
     before, eye = result, np.eye(matrix.shape[1])
@@ -55,10 +67,10 @@ def stationary_covariance(transition: Array, noise: Array, matrix: Array, varian
         size = len(eye)
         product, weighted = solved[..., :size], solved[..., size:]
         result = _symmetric_part(result + alpha.mT @ result @ product)
+        if np.abs(alpha).max() < SMALL_POWER and np.array_equal(result, before):  # what follows changes no digit
+            break
         information, alpha = _symmetric_part(information + alpha @ weighted @ alpha.mT), alpha @ product
-    now, earlier = (np.diagonal(each, axis1=-2, axis2=-1) for each in (result, before))
-    unbounded = now > (1.0 + VARIANCE_TOLERANCE) * earlier
-    return np.where(unbounded[..., None] | unbounded[..., None, :], np.inf, result)
+    return result, before
 
 
 def _symmetric_part(matrix: Array) -> Array:

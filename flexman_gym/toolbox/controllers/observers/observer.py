@@ -7,7 +7,7 @@ import numpy as np
 
 from flexman_gym.agent.controller import EpisodeInfo, Plant, Readings
 from flexman_gym.common.arrays import Array, BoolArray, IntArray
-from flexman_gym.common.checks import value_error
+from flexman_gym.common.errors import value_error
 from flexman_gym.model.linearization import LINEAR_SENSORS, LinearMeasurements
 
 

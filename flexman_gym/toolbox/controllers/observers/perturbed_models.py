@@ -7,7 +7,8 @@ import numpy as np
 
 from flexman_gym.agent.controller import Plant
 from flexman_gym.common.arrays import Array, BoolArray, IntArray, row_dots
-from flexman_gym.common.checks import mapping, number_array, value_error
+from flexman_gym.common.checks import mapping, number_array
+from flexman_gym.common.errors import value_error
 from flexman_gym.model.friction import friction_coefficients
 from flexman_gym.model.model import Model
 from flexman_gym.simulation.physical_parameters import ARM, PARAMETERS, UNCERTAIN, varied_model

@@ -1,5 +1,6 @@
 """References adapted to estimated parameters: slews along straight paths with replanned timing, and given paths."""
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
@@ -8,8 +9,9 @@ import numpy as np
 from flexman_gym.common.arrays import Array, IntArray, pad_rows
 from flexman_gym.model.friction import friction_torques
 from flexman_gym.model.model import Model
-from flexman_gym.model.statics import holding_torques, rest_state
+from flexman_gym.model.statics import holding_torques, rest_state, static_torques
 from flexman_gym.simulation.physical_parameters import varied_model
+from flexman_gym.toolbox.controllers.arm_scales import SlewBounds
 from flexman_gym.toolbox.controllers.friction_compensation import estimated_friction
 from flexman_gym.toolbox.controllers.references.trajectories import (
     DeflectionCompensation,
@@ -21,7 +23,8 @@ from flexman_gym.toolbox.controllers.references.trajectories import (
 
 PATH_POINTS = np.linspace(0.0, 1.0, 11)  # path parameters s at which deflections are tabulated
 TYPICAL_ACCELERATION = 0.5  # 1/s^2; second derivative of the path parameter at which deflections are computed
-CANDIDATE_DURATIONS = 0.2 * 1.045 ** np.arange(110)  # s; durations of slews that are tried, up to 24 s
+# Durations of slews that are tried: 110 steps of 4.5 %, from 0.2 to 24 s for a slew of 3 s of the arm
+FIRST_DURATION, DURATION_FACTOR, DURATION_STEPS, USUAL_SLEW = 0.2, 1.045, 110, 3.0  # s, 1, 1, s
 CHECKED_TIMES = np.linspace(0.0, 1.0, 17)[1:-1]  # fractions of a duration at which torques are checked
 REST = 0  # index of the layer of a table with the values at equilibrium
 ACCELERATION = 1  # index of the layer with the factors of s''
@@ -37,10 +40,18 @@ class _PathTables(NamedTuple):
     Attributes:
         coordinates: (p, 11, 3, d) deviations of the coordinates from the straight path of the motors.
         torques: (p, 11, 3, n) motor torques, N m.
+        shortest: shortest duration of the slew, s.
     """
 
     coordinates: Array
     torques: Array
+    shortest: float
+
+
+def candidate_durations(slew: float) -> Array:
+    """Return the durations (k,) that are tried, s, for an arm whose slews take a time of the order of `slew`, s."""
+    first = math.floor(math.log(slew / USUAL_SLEW) / math.log(DURATION_FACTOR))
+    return FIRST_DURATION * DURATION_FACTOR ** (first + np.arange(DURATION_STEPS, dtype=np.float64))
 
 
 class SlewReferences:
@@ -53,11 +64,14 @@ class SlewReferences:
 
     Args:
         model: model of the arm.
-        limits: (n,) torque limits, N m.
-        torque_fraction: fraction of the limits available to a slew; the remainder is reserved for feedback.
+        bounds: bounds of torques, rates and durations.
         payloads: masses of one or three payloads, kg, from the lightest to the heaviest.
+        slew: duration of a slew of the arm, s, to which the durations that are tried are in proportion.
+        equilibrium: True if `end_in_equilibrium` chooses the ends of the paths; False for a linear approximation by the
+            estimated compliance in each `adapt`, whose error grows with the square of the deflection.
 
     Attributes:
+        durations: (k,) durations that are tried, s.
         time_scaling: (b,) time derivative of the clock of each slew, 1; the path parameter is a function of this clock.
         pace_rate: (b,) time derivative of the time scaling, 1/s.
     """
@@ -65,10 +79,19 @@ class SlewReferences:
     state_fields = (
         "start", "displacement", "shift", "coefficients", "start_time", "duration", "_coordinates", "_torques",
         "_compliance", "_friction", "_adapted_coordinates", "_adapted_torques", "time_scaling", "pace_rate",
+        "_shortest", "_adapted_shortest", "_begin_time", "_end_coordinates", "_end_torques",
     )  # fmt: skip
 
-    def __init__(self, model: Model, limits: Array, torque_fraction: float, payloads: Sequence[float]) -> None:
-        self.model, self._limits, self._torque_fraction = model, limits, torque_fraction
+    def __init__(
+        self,
+        model: Model,
+        bounds: SlewBounds,
+        payloads: Sequence[float],
+        slew: float = USUAL_SLEW,
+        equilibrium: bool = False,
+    ) -> None:
+        self.model, self._bounds, self.durations = model, bounds, candidate_durations(slew)
+        self._equilibrium = equilibrium
         self._payloads = np.array(payloads, dtype=float)
         self._models = [varied_model(model, payload_mass=mass) for mass in payloads]
         self._compensation = DeflectionCompensation(model)
@@ -80,7 +103,9 @@ class SlewReferences:
         self._adapted_coordinates, self._adapted_torques = np.zeros((0, 11, 3, d)), np.zeros((0, 11, 3, n))
         self.coefficients, self.start_time, self.duration = np.zeros((0, 6)), np.zeros(0), np.zeros(0)
         self._compliance, self._friction = np.zeros((0, d)), np.zeros((0, 2, n))
+        self._shortest, self._adapted_shortest, self._begin_time = np.zeros((0, p)), np.zeros(0), np.zeros(0)
         self.time_scaling, self.pace_rate = np.zeros(0), np.zeros(0)
+        self._end_coordinates, self._end_torques = np.zeros((0, d)), np.zeros((0, n))  # changes at the end of a path
         self._cached_paths: dict[tuple[bytes, bytes], list[_PathTables]] = {}
         self._flexible = model.constants.motor >= 0
         self._bent, self._motors = np.flatnonzero(self._flexible), model.motor_columns
@@ -94,6 +119,7 @@ class SlewReferences:
         """Start paths of the arms (r,) between motor angles (r, n) rad; `adapt` and `plan_timing` complete them."""
         self.start[arms], self.displacement[arms], self.shift[arms] = start, goal - start, 0.0
         self.time_scaling[arms], self.pace_rate[arms] = 1.0, 0.0
+        self._end_coordinates[arms], self._end_torques[arms] = 0.0, 0.0
         for arm, first, last in zip(arms, start, goal, strict=True):
             key = first.tobytes(), last.tobytes()
             if key not in self._cached_paths:
@@ -101,7 +127,8 @@ class SlewReferences:
                     self._cached_paths.clear()
                 self._cached_paths[key] = [self._tabulate(payload, first, last) for payload in range(len(self._models))]
             for payload, tables in enumerate(self._cached_paths[key]):
-                self._coordinates[arm, payload], self._torques[arm, payload] = tables
+                self._coordinates[arm, payload], self._torques[arm, payload] = tables.coordinates, tables.torques
+                self._shortest[arm, payload] = tables.shortest
 
     def _tabulate(self, payload: int, start: Array, goal: Array) -> _PathTables:
         """Return the tables of a path between motor angles (n,) rad, for the payload with the given index."""
@@ -123,7 +150,7 @@ class SlewReferences:
                     (deflected - at_rest) / TYPICAL_ACCELERATION,
                     (torque - static_torque) / TYPICAL_ACCELERATION,
                 )
-        return _PathTables(coordinates, torques)
+        return _PathTables(coordinates, torques, self._bounds.shortest(model, goal))
 
     def adapt(self, arms: IntArray, parameters: Mapping[str, Array]) -> None:
         """Adapt the references of the arms (r,) to estimated parameters (b, ...), see `Estimate`."""
@@ -133,8 +160,42 @@ class SlewReferences:
         self._friction[arms] = estimated_friction(self.model, parameters, arms)
         for adapted, table in ((self._adapted_coordinates, self._coordinates), (self._adapted_torques, self._torques)):
             adapted[arms] = (weights[:, :, None, None, None] * table[arms]).sum(axis=1)
-        if self.model.constants.gravity.any():
+        softest = np.sqrt(self._compliance[arms].max(axis=1))  # period / period of the nominal arm, at most
+        self._adapted_shortest[arms] = softest * (weights * self._shortest[arms]).sum(axis=1)
+        if self._equilibrium:
+            self._adapted_coordinates[arms, :, REST] += PATH_POINTS[:, None] * self._end_coordinates[arms, None]
+            self._adapted_torques[arms, :, REST] += PATH_POINTS[:, None] * self._end_torques[arms, None]
+        elif self.model.constants.gravity.any():
             self._correct_goal(arms)
+
+    def end_in_equilibrium(self, arms: IntArray, parameters: Mapping[str, Array]) -> None:
+        """Move the ends of the paths of the arms (r,) to the static equilibrium of arms with the estimated parameters.
+
+        The tip of the equilibrium is the tip at which the nominal arm rests. Deflections and torques at rest change
+        along the path in proportion to its parameter. An estimated arm that is too compliant for its weight keeps the
+        end that it has. Nothing changes without gravity, without estimates, and for linear ends of paths.
+        """
+        if not (self._equilibrium and parameters and self.model.constants.gravity.any()):
+            return
+        d = self.model.n_dof
+        for arm in arms:
+            goal, estimated = self.start[arm] + self.displacement[arm], _estimated_model(self.model, parameters, arm)
+            target, end = rest_state(self.model, goal)[:d], goal + self.shift[arm]
+            try:
+                for _ in range(NEWTON_ITERATIONS):
+                    end = end + self._compensation.damped_rotation(target, rest_state(estimated, end)[:d])
+                rest = rest_state(estimated, end)[:d]
+            except ValueError:
+                continue
+            sag, torques = rest - estimated.at_rest(end[None])[0, :d], static_torques(estimated, rest)
+            self.shift[arm] = end - goal
+            for kept, table, value in (
+                (self._end_coordinates, self._adapted_coordinates, sag / self._compliance[arm]),
+                (self._end_torques, self._adapted_torques, torques),
+            ):
+                change = value - table[arm, -1, REST]
+                kept[arm] += change
+                table[arm, :, REST] += PATH_POINTS[:, None] * change
 
     def _correct_goal(self, arms: IntArray) -> None:
         """Shift the ends of the paths of the arms (r,) so that the tips come to rest where the nominal arm would."""
@@ -152,7 +213,7 @@ class SlewReferences:
         return _estimated_payloads(self.model, parameters, arms)
 
     def plan_timing(self, arms: IntArray, times: Array, first: bool) -> None:
-        """Plan the remaining motion of the arms (r,) along their paths, as fast as the torque limits allow.
+        """Plan the remaining motion of the arms (r,) along their paths, as fast as the bounds allow.
 
         Args:
             arms: (r,) indices of arms whose references have been adapted, see `adapt`.
@@ -162,18 +223,25 @@ class SlewReferences:
         if not len(arms):
             return
         initial = (np.zeros((3, len(arms))) if first else np.array(self.at(times, arms)))[:, :, None]
-        candidates = quintic_coefficients(initial[0], initial[1], initial[2], CANDIDATE_DURATIONS.astype(float))
-        checked = CANDIDATE_DURATIONS[:, None] * CHECKED_TIMES
+        candidates = quintic_coefficients(initial[0], initial[1], initial[2], self.durations)
+        checked = self.durations[:, None] * CHECKED_TIMES
         progress, speeds, accelerations = evaluate_polynomials(candidates[:, :, None], checked)
         torques = self._interpolate(self._adapted_torques, arms, progress, accelerations, speeds)
         if self._friction[arms].any():
             rates = speeds[..., None] * self.displacement[arms][:, None, None]
             torques += friction_torques(self.model, rates, self._friction[arms][:, None, None])
-        ratios = (np.abs(torques) / self._limits).max(axis=(2, 3))
-        feasible = ratios <= self._torque_fraction
-        chosen = np.where(feasible.any(axis=1), feasible.argmax(axis=1), ratios.argmin(axis=1))
+        ratios = (np.abs(torques) / self._bounds.limits).max(axis=(2, 3)) / self._bounds.fraction
+        fastest = (np.abs(self.displacement[arms]) / self._bounds.rates).max(axis=1)  # s, at unit speed
+        ratios = np.maximum(ratios, fastest[:, None] * np.abs(speeds).max(axis=2))
+        if first:
+            self._begin_time[arms] = times
+        elapsed = np.asarray(times) - self._begin_time[arms]
+        late = elapsed[:, None] + self.durations >= self._adapted_shortest[arms, None]
+        chosen = np.where(late, ratios, np.inf)
+        feasible = chosen <= 1.0
+        chosen = np.where(feasible.any(axis=1), feasible.argmax(axis=1), chosen.argmin(axis=1))
         self.coefficients[arms] = candidates[np.arange(len(arms)), chosen]
-        self.start_time[arms], self.duration[arms] = times, CANDIDATE_DURATIONS[chosen]
+        self.start_time[arms], self.duration[arms] = times, self.durations[chosen]
 
     def _interpolate(self, table: Array, arms: IntArray, progress: Array, accelerations: Array, speeds: Array) -> Array:
         """Return rest + a s'' + b s'^2, (r, ..., m), at path parameters (r, ...).
@@ -276,6 +344,12 @@ def _adaptation_factors(
     return weights, compliance
 
 
+def _estimated_model(model: Model, parameters: Mapping[str, Array], arm: int) -> Model:
+    """Return the model of an arm with its estimated payload and stiffness."""
+    names = "payload_mass", "joint_stiffness", "link_stiffness_factor"
+    return varied_model(model, **{name: parameters[name][arm] for name in names if name in parameters})
+
+
 class PathReferences:
     """States and torques of b arms along given paths of their motors, planned for each payload, see `plan_path`.
 
@@ -306,6 +380,12 @@ class PathReferences:
         self._plans[arm] = straight, deflections, np.array([plan.torques for plan in plans])
         for name in self.state_fields:
             setattr(self, name, pad_rows(getattr(self, name), arm + 1))
+
+    def route(self, arm: int, count: int) -> Array:
+        """Return at most `count` motor angles (g, n) rad along the path of an arm."""
+        path = self._plans[arm][0][:, self.model.motor_columns]
+        result: Array = path[np.linspace(0, len(path) - 1, min(count, len(path))).round().astype(int)]
+        return result
 
     def adapt(self, arms: IntArray, parameters: Mapping[str, Array]) -> None:
         """Adapt the references of the arms (r,) to estimated parameters (b, ...), see `Estimate`."""

@@ -11,12 +11,14 @@ import numpy as np
 from flexman_gym.agent.base_controllers import ControllerEntry
 from flexman_gym.agent.controller import EpisodeInfo, Plant
 from flexman_gym.common.arrays import Array, BoolArray, IntArray, Vector, pad_rows, row_dots
-from flexman_gym.common.checks import text, value_error
+from flexman_gym.common.checks import text
+from flexman_gym.common.errors import value_error
 from flexman_gym.common.files import open_arrays, reading, write_file
 from flexman_gym.kernels.layout import OK, TIP
-from flexman_gym.model.model import Model
+from flexman_gym.model.model import Model, check_model
 from flexman_gym.model.statics import holding_torques, rest_state, rest_tips
 from flexman_gym.simulation.batch import Batch
+from flexman_gym.toolbox.controllers.arm_scales import ArmScales, SlewBounds
 from flexman_gym.toolbox.controllers.lqr import FEEDFORWARD_FRACTION, LQR
 from flexman_gym.toolbox.controllers.references.trajectories import plan_slew
 
@@ -122,7 +124,10 @@ class SingleShooting:
     def search(self) -> _SlewTorques | None:
         """Return the fastest slew found; None if no slew settles."""
         torques = plan_slew(
-            self._regulator.model, *self._ends, self._regulator.limits, FEEDFORWARD_FRACTION, self._regulator.period
+            self._regulator.model,
+            *self._ends,
+            SlewBounds(self._regulator.limits, FEEDFORWARD_FRACTION),
+            self._regulator.period,
         )
         count = len(torques.torques)
         solution, best, factor = _SlewTorques(torques.torques, count, count), None, SHORTER_FACTOR
@@ -395,7 +400,7 @@ class OptimisedController(LQR):
     state_fields = ("_now",)
 
     def __init__(self, table: SlewTable, model: Model, torque_limit: float | Vector, period: float) -> None:
-        super().__init__(model, torque_limit, period)
+        super().__init__(model, torque_limit, period, scales=ArmScales.of_design_named(check_model(model)))
         table.check_arm(SlewTable.fingerprint(self.model, self.limits, self.period))
         self._table, self._slews, self._now = table, list[Array](), np.zeros(0, dtype=np.int64)
 

@@ -1,18 +1,21 @@
 """Reference trajectories: timing laws, paths, quasi-static deflection, and time-optimal motions."""
 
+import math
 from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
 from flexman_gym.common.arrays import Array, IntArray
-from flexman_gym.common.checks import one_of, physical, sample_count, value_error
+from flexman_gym.common.checks import one_of, physical, sample_count
+from flexman_gym.common.errors import value_error
 from flexman_gym.kernels import outputs
 from flexman_gym.kernels.layout import OUTPUTS, TIP, TIP_VELOCITY, make_work
 from flexman_gym.model.dynamics import inertial_forces, stiffness_matrix
 from flexman_gym.model.friction import friction_torques
 from flexman_gym.model.model import Model
 from flexman_gym.model.statics import rest_state
+from flexman_gym.toolbox.controllers.arm_scales import SlewBounds
 
 
 class _TimingLaw(NamedTuple):
@@ -109,10 +112,12 @@ TIMING_LAWS = {  # name -> timing law from 0 to 1 with duration 1; the phases ha
 
 DEFLECTION_PASSES = 3  # fixed-point iterations of the deflection under the inertia of the deflected arm
 SINGULAR_CUTOFF = 0.05  # fraction of the largest singular value of the tip Jacobian; smaller ones are excluded
+STEP_DAMPING = 0.01  # fraction of the largest singular value; damping of a step towards a tip position
 SOLVE_INTERVAL = 4  # control periods between two points of a path at which the deflection is computed
 REST_POINTS = 6  # number of points at rest before the start of a path at which the deflection is computed
 PATH_SAMPLES = 21  # number of points of a path at which torques are compared with their limits
-MAX_DURATION, MAX_PERIODS = 60.0, 100_000  # s, and control periods; longest slew
+TRIED_DURATION, MAX_DURATION, MAX_PERIODS = 60.0, 1e5, 100_000  # s, s and control periods; first and longest slews
+ROUNDING = 1e-9  # fraction of a duration by which it may be too short
 JUMP_MARGIN = 1e-9  # fraction of the duration; distance of a check point before a jump of the acceleration
 
 
@@ -215,22 +220,15 @@ def _slew_path(model: Model, start: Array, goal: Array, timing_law: str = "minim
 
 
 def plan_slew(
-    model: Model,
-    start: Array,
-    goal: Array,
-    limits: Array,
-    torque_fraction: float,
-    period: float,
-    timing_law: str = "minimum-jerk",
+    model: Model, start: Array, goal: Array, bounds: SlewBounds, period: float, timing_law: str = "minimum-jerk"
 ) -> _ReferenceTrajectory:
-    """Plan the fastest slew with a timing law and torques within a fraction of the limits.
+    """Plan the fastest slew with a timing law within bounds.
 
     Args:
         model: model of the arm.
         start: (n,) initial motor angles, rad.
         goal: (n,) final motor angles, rad.
-        limits: (n,) torque limits, N m.
-        torque_fraction: fraction of the limits available to the slew; the remainder is reserved for feedback.
+        bounds: bounds of torques, rates and duration.
         period: control period, s.
         timing_law: name in `TIMING_LAWS`.
 
@@ -239,22 +237,24 @@ def plan_slew(
             slew of more than MAX_PERIODS control periods.
     """
     path = _slew_path(model, start, goal, one_of("timing_law", timing_law, TIMING_LAWS))
-    slew = _time_optimal(path, torque_fraction * limits, period)
-    if slew is None:
+    count = _time_optimal(path, bounds.fraction * np.asarray(bounds.limits), period)
+    if count is None:
         raise value_error(
-            "goal", goal.tolist(), f"a posture with holding torques below {torque_fraction:.0%} of the torque limits"
+            "goal", goal.tolist(), f"a posture with holding torques below {bounds.fraction:.0%} of the torque limits"
         )
-    return slew
+    rates = np.abs(path.motion(path.check_points)[1]) / bounds.rates
+    shortest = max(float(rates.max()), bounds.shortest(model, goal))
+    return _sample_path(path, max(count, math.ceil((1.0 - ROUNDING) * shortest / period)), period)
 
 
-def _time_optimal(path: _JointPath, bounds: Array, period: float) -> _ReferenceTrajectory | None:
-    """Return the trajectory with the fewest control periods and torques within bounds (n,) N m; None without solution.
+def _time_optimal(path: _JointPath, bounds: Array, period: float) -> int | None:
+    """Return the least number of control periods with torques within bounds (n,) N m; None without solution.
 
     Torques are the holding and friction torques plus an inertial part proportional to 1 / T^2, so that the torques for
     one duration T predict the shortest duration. Deflections and friction change with T: the prediction is repeated at
     the new duration. The torques of the trajectory are those without friction.
     """
-    most, infeasible = max(1, int(MAX_DURATION / period)), 0
+    most, infeasible = max(1, int(TRIED_DURATION / period)), 0
     count = most
     static = path.at(path.check_points, np.inf)[1]
     if (np.abs(static) >= bounds).any():
@@ -266,10 +266,12 @@ def _time_optimal(path: _JointPath, bounds: Array, period: float) -> _ReferenceT
             needed = np.ceil(count * np.sqrt((np.abs(inertial) / (bounds - np.sign(inertial) * constant)).max()))
         if not needed <= count:  # true also for NaN, of an arm with divergent deflection
             if count == most:
-                return None
+                if most * period >= MAX_DURATION:
+                    return None
+                most = 10 * most
             infeasible, count = count, int(min(np.fmax(needed, count + 1), most))
         elif needed == count or count == infeasible + 1:
-            return _sample_path(path, count, period)
+            return count
         else:
             count = int(max(needed, infeasible + 1))
 
@@ -339,11 +341,27 @@ class DeflectionCompensation:
 
         Directions of the tip with small singular values are excluded, since they would require large rotations.
         """
+        jacobian, error = self._linearised(rest, deflected)
+        result: Array = np.linalg.pinv(jacobian, rcond=SINGULAR_CUTOFF) @ error
+        return result
+
+    def damped_rotation(self, rest: Array, deflected: Array) -> Array:
+        """Return the rotation (n,) rad of a damped least-squares step, see `rotation`; repeated steps converge.
+
+        An arm that is nearly stretched reaches the tip of `rest` in all directions after a few steps (Wampler, IEEE
+        Transactions on Systems, Man, and Cybernetics 16, 1986, 93).
+        """
+        jacobian, error = self._linearised(rest, deflected)
+        damping = (STEP_DAMPING * np.linalg.norm(jacobian, 2)) ** 2
+        result: Array = jacobian.T @ np.linalg.solve(jacobian @ jacobian.T + damping * np.eye(3), error)
+        return result
+
+    def _linearised(self, rest: Array, deflected: Array) -> tuple[Array, Array]:
+        """Return the Jacobian (3, n) of the tip at deflected coordinates (d,), and its way to the target (3,), m."""
         velocity = self._rotations[0]  # any velocity: positions do not depend on it
         target, tip = self._outputs(rest, velocity)[TIP].copy(), self._outputs(deflected, velocity)[TIP].copy()
         jacobian = np.array([self._outputs(deflected, each)[TIP_VELOCITY].copy() for each in self._rotations]).T
-        result: Array = np.linalg.pinv(jacobian, rcond=SINGULAR_CUTOFF) @ (target - tip)
-        return result
+        return jacobian, target - tip
 
     def _outputs(self, x: Array, v: Array) -> Array:
         outputs.compute_outputs(self._model.constants, self._work, x, v, self._row)

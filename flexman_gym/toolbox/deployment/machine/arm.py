@@ -12,7 +12,7 @@ from flexman_gym.common.arrays import Array
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.envs.episodes import Episodes
-from flexman_gym.evaluation.agents import split_interface
+from flexman_gym.evaluation.agent_spec import split_interface
 
 ROUNDING = 1e-9  # relative excess of a torque over its limit that is clipped
 BRAKED, RUNNING, STOPPING = range(3)

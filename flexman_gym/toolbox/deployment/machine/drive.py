@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 
 from flexman_gym.common.arrays import Array, IntArray
-from flexman_gym.common.checks import positive, value_error, whole_number
+from flexman_gym.common.checks import positive, whole_number
+from flexman_gym.common.errors import value_error
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.envs.config.plant import make_plant
@@ -22,7 +23,8 @@ from flexman_gym.envs.episodes import Episodes
 from flexman_gym.envs.sensors import ModelState, find_sensors, measured_names
 from flexman_gym.envs.sensors.sensor import measurement_ranges
 from flexman_gym.envs.view import View
-from flexman_gym.evaluation.agents import AgentSpec, find_agent, split_interface
+from flexman_gym.evaluation.agent_spec import AgentSpec, split_interface
+from flexman_gym.evaluation.agents import find_agent
 from flexman_gym.evaluation.rollouts import TEST_SEEDS, RolloutLoop
 from flexman_gym.kernels import layout
 from flexman_gym.kernels.layout import LARGEST_STATE
@@ -210,9 +212,9 @@ class _Loop:
         while left > 0 and not loop.over:
             loop.step()
             left -= agent.action_repeat
-        if loop.law is not None:
-            loop.law = self._guarded(loop.law, len(agent.mode.names))
-        agent.act = self._guarded(agent.act, agent.mode.joints)
+        if agent.law is not None:
+            agent.law = self._guarded(agent.law, len(agent.mode.names))
+        agent.torques = self._guarded(agent.torques, agent.mode.joints)
         self._prepare = self._guarded(partial(_prepare, loop.episodes), 1)
         self._innovations = self._innovation_test()
         gc.collect()

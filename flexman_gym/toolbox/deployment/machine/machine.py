@@ -11,7 +11,8 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 import numpy as np
 
 from flexman_gym.common.arrays import Array
-from flexman_gym.common.checks import mapping, one_of, positive, value_error, whole_number
+from flexman_gym.common.checks import mapping, one_of, positive, whole_number
+from flexman_gym.common.errors import value_error
 from flexman_gym.model.linearization import MEASUREMENT_UNITS
 from flexman_gym.toolbox.deployment.machine.clock import Clock, MonotonicClock
 from flexman_gym.toolbox.deployment.machine.packets import (

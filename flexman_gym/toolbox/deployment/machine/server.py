@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from flexman_gym.common.arrays import Array
-from flexman_gym.common.checks import finite, non_negative, one_of, value_error
+from flexman_gym.common.checks import finite, non_negative, one_of
+from flexman_gym.common.errors import value_error
 from flexman_gym.toolbox.deployment.machine.arm import BRAKED, SimulatedArm
 from flexman_gym.toolbox.deployment.machine.faults import CLOCK_RATE, FAULTS, JUMP, LATE, LOSSY, VALUE_FAULTS, Readings
 from flexman_gym.toolbox.deployment.machine.machine import UNITS

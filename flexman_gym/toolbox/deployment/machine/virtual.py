@@ -4,7 +4,7 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from flexman_gym.common.checks import value_error
+from flexman_gym.common.errors import value_error
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.toolbox.deployment.machine.arm import SimulatedArm
 from flexman_gym.toolbox.deployment.machine.machine import UNITS, UdpMachine

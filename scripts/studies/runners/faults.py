@@ -1,0 +1,36 @@
+"""Fault tolerance of training runs: kills, interrupts, a full disk, and two runs in one folder."""
+
+from argparse import Namespace
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from flexman_gym.common.computer import computer_text
+from studies.faults import Fault, disk_full, faults, page
+from studies.study import Study, Table
+
+
+def measure(options: Namespace) -> Iterator[Fault]:
+    """Yield the results of all faults."""
+    with TemporaryDirectory() as place:
+        yield from faults(Path(place), tuple(options.kills))
+        if options.small:
+            yield disk_full(Path(place), options.small)
+
+
+def report(rows: Sequence[Fault]) -> int:
+    """Return 1 if a run lost its results."""
+    return int(any(fault.survived < fault.tried for fault in rows))
+
+
+RUNNER = Study(
+    tables=(Table("faults", Fault),),
+    measure=lambda options: [measure(options)],
+    pages={"faults.md": page},
+    report=report,
+    options={
+        "--kills": {"type": int, "nargs": 2, "default": (30, 15), "help": "kills per algorithm: saving, any time"},
+        "--small": {"type": Path, "help": "empty file system of a few MB; default: no test of a full disk"},
+    },
+    comment=lambda _: computer_text(("torch",)),
+)

@@ -1,0 +1,14 @@
+"""Text of lengths."""
+
+from flexman_gym.common.formatting import millimetres
+
+
+def test_lengths_are_in_millimetres_as_far_as_they_count():
+    lengths = {
+        1.09e-9: "below 0.01 mm",
+        9.9e-6: "below 0.01 mm",
+        6.6e-5: "0.066 mm",
+        1.234e-3: "1.2 mm",
+        0.2814: "281 mm",
+    }
+    assert {length: millimetres(length) for length in lengths} == lengths
