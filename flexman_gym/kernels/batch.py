@@ -6,69 +6,54 @@ Constants that may differ between arms (`arguments.PER_ARM`) are groups as well;
 call passes tables of addresses instead of arrays, which saves microseconds.
 """
 
-from flexman_gym.kernels.arguments import (
-    all_constants_of_tangents,
-    constants_of_arms,
-    constants_of_one,
-    constants_of_tangents,
-    work_of_arms,
-    work_of_one,
-    work_of_tangents,
-)
+from flexman_gym.kernels.arguments import constants_of, work_of
 from flexman_gym.kernels.compile import inner, released
 from flexman_gym.kernels.control_period import NOT_DONE, finish_period, start_period
-from flexman_gym.kernels.implicit import fixed_newton_step
-from flexman_gym.kernels.lanes import extract_lane, insert_lane
-from flexman_gym.kernels.layout import ARMS_PER_GROUP, DIVERGED, LARGEST_STATE, OK
+from flexman_gym.kernels.implicit import converged_step, gauss_step, midpoint_step
+from flexman_gym.kernels.lanes import extract_lane, insert_lane, lane_count
+from flexman_gym.kernels.layout import ARMS_PER_GROUP, DIVERGED, NOT_CONVERGED, OK
 from flexman_gym.kernels.linalg import copy
 from flexman_gym.kernels.outputs import compute_outputs, compute_tip_accelerations
-from flexman_gym.kernels.runge_kutta import explicit_step, linearly_implicit_step, out_of_bounds, step_start
+from flexman_gym.kernels.runge_kutta import explicit_step, in_bounds, linearly_implicit_step, sequences_step
 
 
 @inner
-def _fixed_step(constants, work, tableau, counts, table, span, state):
+def fixed_step(constants, work, method, table, span, state):
     """Set work.new_state to the state and ledger after a step; span = (start time, step), s.
 
-    The method is that of the tableau: linearly implicit, or explicit if counts[1] is not None. Without a tableau it is
-    the method with the `counts` of `implicit.fixed_newton_step`. The ledger is work and dissipation since the start, J.
+    The ledger is work and dissipation since the start, J. `method` is a result of `layout.step_method`: the step of a
+    family whose argument is None returns 0, and Numba removes the rest of this step when it compiles the kernel.
+    Returns the number of evaluations of the accelerations, negative if the step does not converge.
     """
-    if tableau is None:
-        fixed_newton_step(constants, work, counts, table, span, state)
-    else:
-        _tableau_step(constants, work, tableau, counts[1], table, span, state)
+    explicit, linearly_implicit, sequences, midpoint, gauss, converged = method
+    evaluations = explicit_step(constants, work, explicit, table, span, state)
+    evaluations += linearly_implicit_step(constants, work, linearly_implicit, table, span, state)
+    evaluations += sequences_step(work, sequences, table, span, state)
+    evaluations += midpoint_step(constants, work, midpoint, table, span, state)
+    evaluations += gauss_step(constants, work, gauss, table, span, state)
+    return evaluations + converged_step(constants, work, converged, table, span, state)
 
 
 @inner
-def _tableau_step(constants, work, tableau, explicit, table, span, state):
-    """Call the step of a linearly implicit method, or that of an explicit one if `explicit` is not None."""
-    if explicit is None:
-        linearly_implicit_step(constants, work, tableau, table, span, state)
-    else:
-        explicit_step(constants, work, tableau, table, span, state, (0, len(tableau.b)))
-
-
-@inner
-def _advance_steps(constants, work, tableau, counts, steps, state):
+def _advance_steps(constants, work, method, steps, state):
     """Advance the state and ledger (2 d + 2,) under the inputs work.drive, and compute work.outputs.
 
-    steps = (length in s, number). Tableau and counts as in `_fixed_step`.
+    steps = (length in s, number). The method is that of `fixed_step`; its steps cannot fail to converge.
     """
     d, (step, number) = len(state) // 2 - 1, steps
     for n in range(number):
-        span = n * step, step
-        _fixed_step(constants, work, tableau, counts, None, span, state)
+        fixed_step(constants, work, method, None, (n * step, step), state)
         copy(work.new_state, state)
     compute_outputs(constants, work, state[:d], state[d : 2 * d], work.outputs)
 
 
 @released
-def advance_batch(tables, work_table, method, inputs, steps, rows, out, status, trail):
+def advance_batch(tables, method, inputs, steps, rows, out, status, trail):
     """Integrate arms over T control periods of constant inputs.
 
     Args:
-        tables: (groups, fields, 3) address table of the constants of each group of ARMS_PER_GROUP arms.
-        work_table: (fields, 3) address table of the scratch arrays.
-        method: tableau (or None) and counts, as in `_fixed_step`.
+        tables: `arguments.ArmTables` of the arms.
+        method: result of `layout.step_method`.
         inputs: drives (b, T, n + 6) in each period: n motor torques (N m), or accelerations (rad/s^2) of motors with
             prescribed motion, tip force (3, N) and base acceleration (3, m/s^2). Then a table, times and rows of PD
             control of the motors, see `_add_feedback`, which needs a trail; arrays with b = 0 for none.
@@ -80,20 +65,20 @@ def advance_batch(tables, work_table, method, inputs, steps, rows, out, status, 
         trail: record of the rows (b, T, 2 d + 2) and outputs (b, T, OUTPUTS) after each successful period, overwritten;
             (b, 0, ...) records none.
     """
-    work, drives = work_of_arms(work_table), inputs[0]
+    work, drives = work_of(tables, 0), inputs[0]
     state = work.row
-    for group in range(len(tables)):
+    for group in range(len(tables[0])):
         first, end = group * ARMS_PER_GROUP, min((group + 1) * ARMS_PER_GROUP, len(rows))
         if _any_moving(status, first, end):
             _set_lanes(rows, first, state)
             for t in range(drives.shape[1]):
                 _set_lanes(drives[:, t], first, work.drive)
                 if len(inputs[1]) > 0:
-                    motor = constants_of_arms(tables[group]).motor
+                    motor = constants_of(tables, group).motor
                     _add_feedback(motor, inputs[1:], trail[0], (first, end, t), work.drive)
-                _advance_steps(constants_of_arms(tables[group]), work, method[0], method[1], steps, state)
+                _advance_steps(constants_of(tables, group), work, method, steps, state)
                 for arm in range(first, end):
-                    if status[arm] == OK and not _lane_in_bounds(state, arm - first):
+                    if status[arm] == OK and not in_bounds(state, arm - first):
                         status[arm] = DIVERGED
                     if status[arm] == OK:
                         _copy_lane(state, arm - first, rows[arm])
@@ -133,8 +118,8 @@ def advance_single(tables, method, drives, steps, rows, out, status, trail):
     """Advance a single arm, alone or as a control period of an environment.
 
     Args:
-        tables: (fields, 3) address tables of the constants of the arm, of the scratch arrays, and of the `Period` of an
-            environment; the last table is empty without an environment.
+        tables: `arguments.SingleTables` of the arm, followed by the address table (fields, 3) of the `Period` of an
+            environment, empty without an environment.
         method: as in `advance_batch`.
         drives: (1, T, n + 6) inputs as in `advance_batch`; in an environment T = 1, and the action sets the torques.
         steps: length (s) and number of the steps in a period.
@@ -147,16 +132,16 @@ def advance_single(tables, method, drives, steps, rows, out, status, trail):
         NOT_DONE for an action that is not allowed, without an effect; otherwise the result of
         `control_period.finish_period`, or 0 without an environment.
     """
-    table, work_table, period = tables
+    period = tables[2]
     if len(period) > 0 and not start_period(period):
         return NOT_DONE
-    work = work_of_one(work_table)
+    work = work_of(tables, 0)
     copy(rows[0], work.row)
     for t in range(drives.shape[1]):
         if status[0] == OK:
             copy(drives[0, t], work.drive)
-            _advance_steps(constants_of_one(table), work, method[0], method[1], steps, work.row)
-            status[0] = DIVERGED if out_of_bounds(work.row) else OK
+            _advance_steps(constants_of(tables, 0), work, method, steps, work.row)
+            status[0] = OK if in_bounds(work.row, 0) else DIVERGED
             if status[0] == OK:
                 copy(work.row, rows[0])
                 copy(work.outputs, out[0])
@@ -175,103 +160,78 @@ def _record_period(trail, arm, t, rows, out):
 
 
 @released
-def run_batch(tables, work_table, tableau, newton, drives, grid, rows, out, counts):
+def run_steps(tables, method, drives, grid, steps, moved, status, counts):
     """Integrate arms by fixed steps, each under its own drive table.
 
     Args:
-        tables: (groups, fields, 3) address table of the constants of each group of ARMS_PER_GROUP arms.
-        work_table: (fields, 3) address table of the scratch arrays.
-        tableau: tableau of a linearly implicit method, or None, see `_fixed_step`.
-        newton: numbers of a method without a tableau, see `counts` of `_fixed_step`.
+        tables: address tables of the arms, of a class of `arguments`, or constants and scratch arrays of a single arm.
+            An arm and its derivatives with respect to one parameter each (TangentTables, AllTangentTables) count as
+            ARMS_PER_GROUP arms, whose status is that of the first.
+        method: result of `layout.step_method`.
         drives: (b, 7, n + 6) drive tables: rows as in `layout`, columns for n torques or accelerations of the motors, 3
             components of the tip force and 3 of the base acceleration.
-        grid: time grid of the rows.
-        rows: (b, r + 1, 2 d + 2) states and ledgers, as in `advance_batch`; the first row is the start, all other rows
-            are overwritten.
-        out: (b, r + 1, OUTPUTS) output rows, overwritten.
-        counts: (b, 2) number of valid rows after the first, and number of steps, overwritten; different from `counts`
-            of the method.
+        grid: `layout.StepGrid` of the rows.
+        steps: first and end index of the steps; step -1 stands for a step 0 of length zero before the first one.
+        moved: states and ledgers (b, 2 d + 2) at the first step, set to those at the end; rows (b, r, 2 d + 2) and
+            outputs (b, r, OUTPUTS), overwritten.
+        status: (b,) arms whose status is not OK are not integrated; set to DIVERGED or NOT_CONVERGED for failed arms.
+        counts: (b, 2) set to the end index of the last successful step, and increased by the evaluations of the
+            accelerations.
     """
-    work = work_of_arms(work_table)
-    for group in range(len(tables)):
-        constants, first = constants_of_arms(tables[group]), group * ARMS_PER_GROUP
-        given = tableau, newton, drives, grid
-        _run_group(constants, work, given, (first, min(first + ARMS_PER_GROUP, len(rows)), False), rows, out, counts)
-
-
-@released
-def run_tangents(tables, work_table, tableau, newton, drives, grid, rows, out, counts):
-    """Integrate an arm and its derivatives by fixed steps; arguments as in `run_batch`, b = ARMS_PER_GROUP * groups.
-
-    The constants and scratch arrays of each group are `lanes.TANGENTS`. Of ARMS_PER_GROUP successive drive tables, rows
-    and output rows, the first is that of the arm, and the others are derivatives with respect to one parameter each.
-    Only the arm is tested for divergence.
-    """
-    work = work_of_tangents(work_table)
-    for group in range(len(tables)):
-        constants, first = constants_of_tangents(tables[group]), group * ARMS_PER_GROUP
-        given = tableau, newton, drives, grid
-        _run_group(constants, work, given, (first, first + ARMS_PER_GROUP, True), rows, out, counts)
-
-
-@released
-def run_all_tangents(tables, work_table, tableau, newton, drives, grid, rows, out, counts):
-    """Integrate an arm and its derivatives as `run_tangents`, with derivatives of all constants."""
-    work = work_of_tangents(work_table)
-    for group in range(len(tables)):
-        constants, first = all_constants_of_tangents(tables[group]), group * ARMS_PER_GROUP
-        given = tableau, newton, drives, grid
-        _run_group(constants, work, given, (first, first + ARMS_PER_GROUP, True), rows, out, counts)
+    work = work_of(tables, 0)
+    size = lane_count(work.row)
+    for first in range(0, len(status), size):
+        arms, constants = (first, min(first + size, len(status))), constants_of(tables, first // size)
+        if _any_moving(status, arms[0], arms[1]):
+            _run_group(constants, work, (method, drives, grid, steps), arms, moved, status, counts)
 
 
 @inner
-def _run_group(constants, work, given, arms, rows, out, counts):
-    """Integrate a group of arms as in `run_batch`.
-
-    given = (tableau, newton, drives, grid). arms = (first, end, tangents): indices of the arms, and True if the arms
-    after the first are derivatives, which are valid as long as the first is.
-    """
-    (tableau, newton, drives, grid), (first, end, tangents) = given, arms
-    _load_arms(work, drives, rows, first)
-    for arm in range(first, end):
-        counts[arm, 0], counts[arm, 1] = -1, 0
-    for r in range(rows.shape[1]):
-        for n in range(grid.substeps if r > 0 else 0):
-            span = step_start(grid, r - 1, n), grid.step
-            _fixed_step(constants, work, tableau, newton, work.drive_table, span, work.row)
+def _run_group(constants, work, given, arms, moved, status, counts):
+    """Integrate a group of arms as in `run_steps`; given = (method, drives, grid, steps), arms = (first, end)."""
+    (method, drives, grid, steps), (first, end), (states, rows, out) = given, arms, moved
+    state, d = work.row, len(work.row) // 2 - 1
+    _set_lanes(states, first, state)
+    for i in range(len(work.drive_table)):
+        _set_lanes(drives[:, i], first, work.drive_table[i])
+    for n in range(steps[0], steps[1]):
+        if grid.substeps > 0:
+            span = grid.time + max(n, 0) * grid.step, (grid.step if n >= 0 else 0.0)
+            evaluations = fixed_step(constants, work, method, work.drive_table, span, state)
+            _count_step(work.new_state, evaluations, n + 1, arms, status, counts)
+            if not _any_moving(status, first, end):
+                return
+            copy(work.new_state, state)
+        if grid.substeps == 0 or (n >= 0 and (n + 1) % grid.substeps == 0):
+            compute_outputs(constants, work, state[:d], state[d : 2 * d], work.outputs)
+            r = grid.row if grid.substeps == 0 else grid.row + n // grid.substeps
             for arm in range(first, end):
-                if counts[arm, 0] < 0:
-                    counts[arm, 1] += 1
-                    if not _lane_in_bounds(work.new_state, 0 if tangents else arm - first):
-                        counts[arm, 0] = r - 1
-            copy(work.new_state, work.row)
-        d = len(work.row) // 2 - 1
-        compute_outputs(constants, work, work.row[:d], work.row[d : 2 * d], work.outputs)
-        for arm in range(first, end):
-            if counts[arm, 0] < 0:
-                _copy_lane(work.row, arm - first, rows[arm, r])
-                _copy_lane(work.outputs, arm - first, out[arm, r])
+                if status[arm] == OK:
+                    _copy_lane(state, arm - first, rows[arm, r])
+                    _copy_lane(work.outputs, arm - first, out[arm, r])
     for arm in range(first, end):
-        if counts[arm, 0] < 0:
-            counts[arm, 0] = rows.shape[1] - 1
+        if status[arm] == OK:
+            _copy_lane(state, arm - first, states[arm])
 
 
 @inner
-def _load_arms(work, drives, rows, first):
-    """Set work.row and work.drive_table to the first rows and the drive tables of the group of arms from `first` on."""
-    for k in range(ARMS_PER_GROUP):
-        arm = min(first + k, len(rows) - 1)  # lanes without an arm repeat the last arm
-        for j in range(len(work.row)):
-            insert_lane(work.row, j, k, rows[arm, 0, j])
-        for i in range(len(work.drive_table)):
-            for j in range(len(work.drive)):
-                insert_lane(work.drive_table[i], j, k, drives[arm, i, j])
+def _count_step(state, evaluations, steps, arms, status, counts):
+    """Set the status and counts of the arms that reach `state` by a step; a failed arm keeps its number of steps."""
+    for arm in range(arms[0], arms[1]):
+        if status[arm] == OK:
+            counts[arm, 1] += abs(evaluations)
+            if not in_bounds(state, arm - arms[0]):
+                status[arm] = DIVERGED
+            elif evaluations < 0:
+                status[arm] = NOT_CONVERGED
+            else:
+                counts[arm, 0] = steps
 
 
 @inner
 def _set_lanes(values, first, flat):
     """Set the lanes of the groups flat (j,) to the rows of values (b, j), lane k to the row of the arm `first` + k."""
-    for k in range(ARMS_PER_GROUP):
+    for k in range(lane_count(flat)):
         arm = min(first + k, len(values) - 1)  # lanes without an arm repeat the last arm
         for j in range(len(flat)):
             insert_lane(flat, j, k, values[arm, j])
@@ -285,35 +245,25 @@ def _copy_lane(flat, k, out):
 
 
 @released
-def tip_accelerations_batch(tables, work_table, drives, rows, out):
+def tip_accelerations(tables, drives, rows, out):
     """Compute the tip accelerations of arms, see `outputs.compute_tip_accelerations`.
 
     Args:
-        tables: (groups, fields, 3) address table of the constants of each group of ARMS_PER_GROUP arms.
-        work_table: (fields, 3) address table of the scratch arrays.
+        tables: `arguments.SingleTables` or `arguments.ArmTables` of the arms.
         drives: (b, n + 6) inputs: n motor torques (N m), tip force (3, N) and base acceleration (3, m/s^2).
         rows: (b, 2 d + 2) states and ledgers, as in `advance_batch`.
         out: (b, TIP_ACCELERATIONS) m/s^2, overwritten.
     """
-    work = work_of_arms(work_table)
-    state = work.row
+    work = work_of(tables, 0)
+    state, size = work.row, lane_count(work.row)
     d = len(state) // 2 - 1
-    for group in range(len(tables)):
-        first = group * ARMS_PER_GROUP
+    for group in range(len(tables[0])):
+        first = group * size
         _set_lanes(rows, first, state)
         _set_lanes(drives, first, work.drive)
-        compute_tip_accelerations(constants_of_arms(tables[group]), work, state[:d], state[d : 2 * d], work.outputs)
-        for arm in range(first, min(first + ARMS_PER_GROUP, len(rows))):
+        compute_tip_accelerations(constants_of(tables, group), work, state[:d], state[d : 2 * d], work.outputs)
+        for arm in range(first, min(first + size, len(rows))):
             _copy_lane(work.outputs, arm - first, out[arm])
-
-
-@released
-def tip_accelerations_single(table, work_table, drives, rows, out):
-    """Compute the tip accelerations of a single arm, with the address table (fields, 3) of its constants."""
-    work = work_of_one(work_table)
-    d = rows.shape[1] // 2 - 1
-    copy(drives[0], work.drive)
-    compute_tip_accelerations(constants_of_one(table), work, rows[0, :d], rows[0, d : 2 * d], out[0])
 
 
 @inner
@@ -323,12 +273,3 @@ def _any_moving(status, first, end):
         if status[arm] == OK:
             return True
     return False
-
-
-@inner
-def _lane_in_bounds(state, k):
-    """Return True if coordinates and speeds in lane k are finite and within LARGEST_STATE."""
-    for j in range(len(state) - 2):
-        if not abs(extract_lane(state, j, k)) <= LARGEST_STATE:
-            return False
-    return True

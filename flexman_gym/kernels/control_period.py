@@ -7,7 +7,7 @@ largest of kinetic + elastic energy, |work| and |dissipation| since the reset: t
 
 import math
 
-from flexman_gym.kernels.arguments import period_of_one
+from flexman_gym.kernels.arguments import period_of
 from flexman_gym.kernels.compile import inner, kernel
 from flexman_gym.kernels.lanes import fma
 from flexman_gym.kernels.layout import (
@@ -242,7 +242,7 @@ def start_period(table):
 
     The table (fields, 3) holds the addresses of a `Period`.
     """
-    p = period_of_one(table)
+    p = period_of(table)
     if not all_within(p.action[0], 1.0):
         return False
     copy(p.action[0], p.command[0])
@@ -263,7 +263,7 @@ def finish_period(table, rows, outputs, status):
     Returns:
         FAILED, without a new observation and reward; otherwise the number of control periods of the episode.
     """
-    p = period_of_one(table)
+    p = period_of(table)
     close_period(rows, outputs, status, p.drive, p.periods, p.last_drive, p.turnover)
     matrix = p.reading_start, p.reading_source, p.reading_value
     fill_views(rows, outputs, p.start_energy, p.turnover, p.target, matrix, p.motion, p.vectors, p.scalars)

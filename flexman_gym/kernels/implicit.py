@@ -2,7 +2,7 @@
 
 Generalised-alpha and the midpoint rule iterate until convergence (`layout.GeneralisedAlpha`). The midpoint rule and the
 Gauss method of order 4 are also available with a fixed number of Newton iterations and without a test of convergence.
-Calls are as in `runge_kutta`.
+Steps are repeated by `batch.run_steps`.
 
 Gauss method: with its matrix A, the stages x = x0 + h A v, v = v0 + h A w have accelerations w that solve M w = F(x,
 v), one linear system of twice the size. A differs from the lower triangular matrix T below by the same number in all
@@ -12,9 +12,7 @@ vibration of any frequency, and to zero for a stiff one (van der Houwen and Swar
 methods for ODE-IVP solvers, SIAM J. Sci. Comput. 18, 41, 1997).
 """
 
-import math
-
-from flexman_gym.kernels.compile import inner, kernel
+from flexman_gym.kernels.compile import inner
 from flexman_gym.kernels.dynamics import factorise, prescribed_power, solve
 from flexman_gym.kernels.forces import (
     applied_forces,
@@ -26,15 +24,13 @@ from flexman_gym.kernels.forces import (
 )
 from flexman_gym.kernels.kinematics import compute_kinematics
 from flexman_gym.kernels.lanes import fma, number_of
-from flexman_gym.kernels.layout import DIVERGED, NOT_CONVERGED, OK, PAUSED
-from flexman_gym.kernels.linalg import copy
-from flexman_gym.kernels.outputs import compute_outputs
-from flexman_gym.kernels.runge_kutta import out_of_bounds, pause, resume, step_start
 
 
 @inner
-def _midpoint_step(constants, work, iterations, correction, table, span, state):
-    """Set work.new_state to state (2 d,) and ledger (work, dissipation, J) after a step; span = (start time, step), s.
+def midpoint_step(constants, work, method, table, span, state):
+    """Set work.new_state to state (2 d,) and ledger (work, dissipation, J) after a step; return the evaluations.
+
+    span = (start time, step), s; method = (number of iterations, correction), see `batch.fixed_step`.
 
     With g = step / 2 the accelerations w at the midpoint solve M w = F(x, v) at v = v0 + g w and x = x0 + g v. A Newton
     iteration evaluates M and F at the latest x and v, but springs and dampers at the unknown w, like a linearly
@@ -45,7 +41,9 @@ def _midpoint_step(constants, work, iterations, correction, table, span, state):
 
     With a `correction` > 0, iterations after the first one add the force of `_corrected_springs`, scaled by it.
     """
-    d, (time, step) = len(state) // 2 - 1, span
+    if method is None:
+        return 0
+    d, (time, step), (iterations, correction) = len(state) // 2 - 1, span, method
     g, w, x, v = 0.5 * step, work.rates, work.new_state[:d], work.new_state[d : 2 * d]
     springs = work.stage_state[:d]
     evaluate_drive(table, time + g, work.drive)
@@ -68,6 +66,7 @@ def _midpoint_step(constants, work, iterations, correction, table, span, state):
     work.new_state[2 * d + 1] = state[2 * d + 1] + step * dissipated
     for k in range(d):
         x[k], v[k] = state[k] + step * v[k], state[d + k] + step * w[k]
+    return iterations
 
 
 @inner
@@ -154,12 +153,14 @@ RELAXATION = 1.03  # factor on their changes; least growth of an undamped vibrat
 
 
 @inner
-def _gauss_step(constants, work, iterations, table, span, state):
-    """Set work.new_state to the state and ledger after a step; span = (start time, step), s.
+def gauss_step(constants, work, iterations, table, span, state):
+    """Set work.new_state to the state and ledger after a step; return the evaluations, see `midpoint_step`.
 
     The first guess solves the stages with the mass matrix and forces at positions half a step ahead. A Newton iteration
     evaluates both anew at each stage. Rows of work.stages: rates of x and v of the two stages, then their sums.
     """
+    if iterations is None:
+        return 0
     d, (time, step) = len(state) // 2 - 1, span
     x, v, first, second = work.new_state[:d], work.new_state[d : 2 * d], work.stages[0], work.stages[1]
     evaluate_drive(table, time + 0.5 * step, work.drive)
@@ -179,6 +180,7 @@ def _gauss_step(constants, work, iterations, table, span, state):
                 work.stages[i][2 * d], work.stages[i][2 * d + 1] = supplied + power, dissipated
     for k in range(len(state)):
         work.new_state[k] = state[k] + 0.5 * step * (first[k] + second[k])
+    return 2 * iterations + 1
 
 
 @inner
@@ -247,106 +249,21 @@ def _relax_stage(work, i, g, factor):
         stage[d + k] = fma(factor, work.rates[k] - stage[d + k], stage[d + k])
 
 
-@kernel
-def run_fixed_newton(constants, work, counts, table, grid, state, rows, outputs):
-    """Integrate by fixed steps with a fixed number of Newton iterations; `counts` as in `fixed_newton_step`."""
-    d, evaluations = len(state) // 2 - 1, 0
-    _, n, done = resume(work)
-    for r in range(len(rows)):
-        while n < grid.substeps:
-            if evaluations >= grid.max_evaluations:
-                pause(work, n, done, 0.0)
-                return PAUSED, r, evaluations
-            evaluations += fixed_newton_step(constants, work, counts, table, (step_start(grid, r, n), grid.step), state)
-            if out_of_bounds(work.new_state):
-                return DIVERGED, r, evaluations
-            copy(work.new_state, state)
-            n += 1
-        n = 0
-        copy(state, rows[r])
-        compute_outputs(constants, work, state[:d], state[d : 2 * d], outputs[r])
-    return OK, len(rows), evaluations
-
-
-@inner
-def fixed_newton_step(constants, work, counts, table, span, state):
-    """Set work.new_state to the state and ledger after a step; return the number of evaluations.
-
-    `counts` are the number of iterations, the correction of the midpoint rule, see `_corrected_springs`, or None for
-    the Gauss method of two stages, and None, or the `layout.GeneralisedAlpha` of a method that iterates until it
-    converges; a failure of this method sets a coordinate to NaN. span = (start time, step), s.
-    """
-    iterations, correction, method = counts
-    return _dispatch_step(constants, work, (iterations, correction), method, table, span, state)
-
-
-# The next two are separate functions because Numba removes a branch at compile time only for an argument that is None.
-@inner
-def _dispatch_step(constants, work, counts, method, table, span, state):
-    """Call the step of a fixed number of iterations, or that of the method."""
-    if method is None:
-        evaluations = _dispatch_iterations(constants, work, counts[0], counts[1], table, span, state)
-    else:
-        evaluations = _converged_step(constants, work, method, table, span, state)
-        if evaluations < 0:
-            work.new_state[0] = math.nan
-    return evaluations
-
-
-@inner
-def _dispatch_iterations(constants, work, iterations, correction, table, span, state):
-    """Call the step of the Gauss method or that of the midpoint rule."""
-    if correction is None:
-        _gauss_step(constants, work, iterations, table, span, state)
-        evaluations = 2 * iterations + 1
-    else:
-        _midpoint_step(constants, work, iterations, correction, table, span, state)
-        evaluations = iterations
-    return evaluations
-
-
 MAX_ITERATIONS = 25  # iterations per step
 STAGNATION = 1e-7  # a smaller change that has stopped decreasing is rounding, e.g. of stiff springs after many turns
 
 
-@kernel
-def run_implicit(constants, work, method, table, grid, state, rows, outputs):
-    """Integrate by fixed steps of the generalised-alpha method or the implicit midpoint rule, by Newton's method.
-
-    The Jacobian has the form of a linearly implicit step: mass matrix, damping and stiffness at the latest iterate.
-    work.stages[0] and [1] hold the algorithmic and the true accelerations, followed by the two powers, initially zero.
-    They are kept between calls, so that the next call only adds the effect of a new drive.
-    """
-    d, evaluations = len(state) // 2 - 1, 0
-    paused, n, done = resume(work)
-    if not (paused or method.midpoint or grid.substeps == 0):
-        n = -1  # a step of length 0 computes the accelerations at the start
-    for r in range(len(rows)):
-        while n < grid.substeps:
-            if evaluations >= grid.max_evaluations:
-                pause(work, n, done, 0.0)
-                return PAUSED, r, evaluations
-            span = step_start(grid, r, max(n, 0)), grid.step if n >= 0 else 0.0
-            count = _converged_step(constants, work, method, table, span, state)
-            evaluations += abs(count)
-            if out_of_bounds(work.new_state):
-                return DIVERGED, r, evaluations
-            if count < 0:
-                return NOT_CONVERGED, r, evaluations
-            copy(work.new_state, state)
-            n += 1
-        n = 0
-        copy(state, rows[r])
-        compute_outputs(constants, work, state[:d], state[d : 2 * d], outputs[r])
-    return OK, len(rows), evaluations
-
-
 @inner
-def _converged_step(constants, work, method, table, span, state):
-    """Set work.new_state to the state and ledger after a step; span = (start time, step), s.
+def converged_step(constants, work, method, table, span, state):
+    """Set work.new_state to the state and ledger after a step; return the evaluations, see `midpoint_step`.
 
-    Returns the number of Newton iterations, negative if they do not converge.
+    `method` is a `layout.GeneralisedAlpha`. The Jacobian has the form of a linearly implicit step: mass matrix, damping
+    and stiffness at the latest iterate. work.stages[0] and [1] hold the algorithmic and the true accelerations, then
+    the two powers, initially zero. They are kept between steps, and a step of length zero adds the effect of a new
+    drive. The number of evaluations is negative if the iterations do not converge.
     """
+    if method is None:
+        return 0
     time, h = span
     evaluate_drive(table, time + (0.5 * h if method.midpoint else h), work.drive)
     speed_gain, position_gain = _predict(method, work, h, state)

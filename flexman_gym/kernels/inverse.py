@@ -2,7 +2,7 @@
 
 import math
 
-from flexman_gym.kernels.arguments import constants_of_tangents, work_of_tangents
+from flexman_gym.kernels.arguments import constants_of, work_of
 from flexman_gym.kernels.compile import inner, kernel
 from flexman_gym.kernels.dynamics import link_tip_acceleration, payload_force
 from flexman_gym.kernels.forces import has_knees, spring_slope, spring_torque
@@ -63,16 +63,15 @@ def inertial_forces(constants, work, x, v, acceleration, out):
 
 
 @kernel
-def inertial_jacobian(table, work_table, motion, out):
+def inertial_jacobian(tables, motion, out):
     """Set out (d + 3, 3 d) to the exact Jacobian of [M v' + h (d,), tip velocity (3,)], see `tangents`.
 
     Args:
-        table: (fields, 3) address table of the constants as `lanes.TANGENTS`, with derivatives of zero.
-        work_table: (fields, 3) address table of the scratch arrays.
+        tables: `arguments.TangentTables` of constants with derivatives of zero and of scratch arrays.
         motion: (3, d) coordinates x, speeds v and accelerations v'; the columns of out are their entries in this order.
         out: (d + 3, 3 d), overwritten; the tip velocity is in the base frame, m/s.
     """
-    constants, work = constants_of_tangents(table), work_of_tangents(work_table)
+    constants, work = constants_of(tables, 0), work_of(tables, 0)
     d, directions = motion.shape[1], ARMS_PER_GROUP - 1
     result = work.stages[3]
     for first in range(0, 3 * d, directions):

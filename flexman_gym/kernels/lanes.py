@@ -403,6 +403,28 @@ def extract_lane(typing_context, flat, i, k):
 
 
 @intrinsic
+def lane_count(typing_context, flat):
+    """Return the number of lanes of the elements of a flat array, 1 for numbers."""
+    size = flat.dtype.width if isinstance(flat.dtype, Lanes) else 1
+
+    def generate(context, builder, kinds, values):
+        return context.get_constant(types.intp, size)
+
+    return types.intp(flat), generate
+
+
+@intrinsic
+def value_lane(typing_context, flat, k):
+    """Return the lane of the arm of lane k of the elements of a flat array: 0 for an arm with derivatives, else k."""
+    derivatives = flat.dtype == TANGENTS
+
+    def generate(context, builder, kinds, values):
+        return context.get_constant(types.intp, 0) if derivatives else values[1]
+
+    return types.intp(flat, types.intp), generate
+
+
+@intrinsic
 def insert_lane(typing_context, flat, i, k, value):
     """Set lane k of the group at index i of a flat array of groups."""
 

@@ -41,7 +41,7 @@ shapes, q is their number of entries, the sum of k_i^2. Rows of the k elastic co
 """
 
 from collections.abc import Callable
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -240,7 +240,7 @@ class Work(NamedTuple):
     row: Array  # (2 d + 2,) state and ledger of the arms of a batch
     outputs: Array  # (OUTPUTS,) outputs of the arms of a batch
     next_step: Array  # (1,) s; step size with which an adaptive integration continues, 0 before the first step
-    progress: Array  # (3,) 1, steps and seconds completed in the interval of a paused integration; else zeros
+    progress: Array  # (2,) 1 and the seconds completed in the interval of a paused integration; else zeros
     drive_table: Rows  # (7, n + 6) drive table of the arms of a batch
 
 
@@ -272,7 +272,7 @@ def make_work(constants: Constants, zeros: Callable[[tuple[int, ...]], Array] = 
         "frame_acceleration": (n, 6), "reaction": (n + 1, 6),
         "stages": (MAX_STAGES, size), "stage_state": (size,), "shift": (size,), "new_state": (size,),
         "rates": (size // 2 - 1,), "extrapolated": (MAX_SEQUENCES, size), "error_estimate": (2, size), "row": (size,),
-        "outputs": (OUTPUTS,), "next_step": (1,), "progress": (3,), "drive_table": (7, n + 6),
+        "outputs": (OUTPUTS,), "next_step": (1,), "progress": (2,), "drive_table": (7, n + 6),
     }  # fmt: skip
     return Work(**{name: zeros(shape) for name, shape in shapes.items()})
 
@@ -358,13 +358,50 @@ class GeneralisedAlpha(NamedTuple):
     tolerance: float  # largest relative error of the solution of a step
 
 
+def step_method(
+    explicit: Tableau | None = None,
+    linearly_implicit: Tableau | None = None,
+    sequences: tuple[Tableau, Any, IntArray] | None = None,
+    midpoint: tuple[int, float] | None = None,
+    gauss: int | None = None,
+    converged: GeneralisedAlpha | None = None,
+) -> tuple[Any, ...]:
+    """Return the argument `method` of the kernels: the argument of the step of one family, and None for the others.
+
+    Args:
+        explicit: tableau, see `runge_kutta.explicit_step`.
+        linearly_implicit: tableau, see `runge_kutta.linearly_implicit_step`.
+        sequences: tableau, address tables and schedule, see `runge_kutta.sequences_step`.
+        midpoint: number of Newton iterations and correction, see `implicit.midpoint_step`.
+        gauss: number of Newton iterations, see `implicit.gauss_step`.
+        converged: coefficients, see `implicit.converged_step`.
+    """
+    return explicit, linearly_implicit, sequences, midpoint, gauss, converged
+
+
+class StepGrid(NamedTuple):
+    """Output times of an integration by fixed steps: a row after every interval of `substeps` steps.
+
+    Attributes:
+        time: start of step 0, s.
+        step: length of a step, s.
+        substeps: steps between two rows; 0 for the outputs at the start, without a step.
+        row: index of the row at the end of the first interval.
+    """
+
+    time: float
+    step: float
+    substeps: int
+    row: int = 0
+
+
 class TimeGrid(NamedTuple):
     """Output times and step size control of an integration.
 
     The integration starts at `time` (s) and records the state after every interval of `substeps` steps of `step` (s).
-    With tolerances rtol > 0 and atol of the local error, the step size follows the estimated error, from `step` on, and
-    the output times do not change. A call returns after `max_evaluations` evaluations with status PAUSED; the next call
-    passes the number of completed steps, `first_step`.
+    The step size follows the error estimated for tolerances rtol > 0 and atol, from `step` on; the output times do not
+    change. A call returns after `max_evaluations` evaluations with status PAUSED; the next call passes the number of
+    completed intervals, `first_row`.
     """
 
     time: float
@@ -372,5 +409,5 @@ class TimeGrid(NamedTuple):
     substeps: int
     rtol: float
     atol: float
-    first_step: int = 0
+    first_row: int = 0
     max_evaluations: int = 2**62

@@ -1,23 +1,20 @@
 """Runge-Kutta methods given by their coefficients (`layout.Tableau`): explicit, linearly implicit, step size control.
 
 Explicit methods include the semi-implicit Euler method; linearly implicit methods are W-methods and their
-extrapolation. A kernel `run_...` advances the state (2 d,) and the two energies of the ledger (work and dissipation, J)
-in place; after each interval it stores them in rows (r, 2 d + 2) and the result of `compute_outputs` in outputs.
-It returns a status, the number of valid rows and the number of evaluations of the accelerations. `table` is the drive
-table (7, n + 6) of `layout`. A paused integration (`TimeGrid.max_evaluations`) leaves its progress in work.progress:
-the next call receives the state at the pause, the remaining rows and `TimeGrid.first_step`, and the results equal the
-results of a single call to the bit. Each family has its own loop with a single call of the dynamics, because the
-compiler inlines the dynamics at every call.
+extrapolation. `batch.run_steps` repeats steps of equal length, `run_adaptive` steps whose lengths follow the estimated
+error. A paused integration (`TimeGrid.max_evaluations`) leaves its progress in work.progress: the next call receives
+the state at the pause, the remaining rows and `TimeGrid.first_row`, and the results equal the results of a single call
+to the bit. A kernel has a single call of the dynamics, because the compiler inlines the dynamics at every call.
 """
 
 import math
 
-from flexman_gym.kernels.arguments import constants_of_sequences, work_of_sequences
+from flexman_gym.kernels.arguments import constants_of, work_of
 from flexman_gym.kernels.compile import inner, kernel
 from flexman_gym.kernels.dynamics import factorise, prescribed_power, solve
 from flexman_gym.kernels.forces import applied_forces, evaluate_drive, secant_friction, shift_forces, tangent_springs
 from flexman_gym.kernels.kinematics import compute_kinematics
-from flexman_gym.kernels.lanes import extract_lane, fma, insert_lane
+from flexman_gym.kernels.lanes import extract_lane, fma, insert_lane, value_lane
 from flexman_gym.kernels.layout import DIVERGED, LARGEST_STATE, NOT_CONVERGED, OK, PAUSED
 from flexman_gym.kernels.linalg import copy
 from flexman_gym.kernels.outputs import compute_outputs
@@ -27,44 +24,28 @@ MIN_STEP = 1e-14  # dimensionless; smallest step as a fraction of the interval b
 
 
 @inner
-def _first_step_size(work, grid):
-    """Return the first step (s): as proposed at the end of the previous integration, or the step of the time grid."""
-    if grid.rtol > 0.0 and work.next_step[0] > 0.0:
-        return work.next_step[0]
-    return grid.step
-
-
-@inner
-def resume(work):
-    """Return True after a pause, the number of steps and the simulated time (s) since the last output; clear them."""
-    paused, n, elapsed = work.progress[0], work.progress[1], work.progress[2]
+def _resume(work):
+    """Return True after a pause, and the simulated time (s) since the last output; clear them."""
+    paused, elapsed = work.progress[0], work.progress[1]
     work.progress[:] = 0.0
-    return paused > 0.0, int(n), elapsed
+    return paused > 0.0, elapsed
 
 
 @inner
-def pause(work, n, elapsed, step_size):
-    """Store the number of steps n and the simulated time `elapsed` (s) since the last output, and the next step (s)."""
-    work.progress[0], work.progress[1], work.progress[2], work.next_step[0] = 1.0, n, elapsed, step_size
+def _pause(work, elapsed, step_size):
+    """Store the simulated time `elapsed` (s) since the last output, and the length of the next step (s)."""
+    work.progress[0], work.progress[1], work.next_step[0] = 1.0, elapsed, step_size
 
 
 @inner
-def step_start(grid, r, n):
-    """Return the start (s) of fixed step n of interval r of this call."""
-    return grid.time + (grid.first_step + r * grid.substeps + n) * grid.step
-
-
-@inner
-def _next_step(grid, r, n, elapsed, step_size):
-    """Return start and length (s) of step n of interval r, `elapsed` s of simulated time after its start.
+def _next_step(grid, r, elapsed, step_size):
+    """Return start and length (s) of the next step of interval r, `elapsed` s of simulated time after its start.
 
     The third value is True for the last step of the interval.
     """
-    if grid.rtol == 0.0:
-        return step_start(grid, r, n), grid.step, n + 1 == grid.substeps
     interval = grid.step * grid.substeps
     last = elapsed + 1.0001 * step_size >= interval
-    start = grid.time + (grid.first_step // grid.substeps + r) * interval + elapsed
+    start = grid.time + (grid.first_row + r) * interval + elapsed
     return start, (interval - elapsed if last else step_size), last
 
 
@@ -101,12 +82,15 @@ def _error_norm(work, count, grid, state):
 
 
 @inner
-def out_of_bounds(state):
-    """Return True if a coordinate or speed is not finite or exceeds LARGEST_STATE; the ledger is not checked."""
+def in_bounds(state, k):
+    """Return True if coordinates and speeds in lane k, for a derivative in the lane of its arm, are in LARGEST_STATE.
+
+    Infinite numbers and NaN are not; the ledger is not checked.
+    """
     for j in range(len(state) - 2):
-        if not abs(state[j]) <= LARGEST_STATE:
-            return True
-    return False
+        if not abs(extract_lane(state, j, value_lane(state, k))) <= LARGEST_STATE:
+            return False
+    return True
 
 
 @inner
@@ -143,41 +127,50 @@ def _add_stages(state, step, weights, stages, count, out):
 
 
 @kernel
-def run_explicit(constants, work, tableau, table, grid, state, rows, outputs):
-    """Integrate by an explicit Runge-Kutta method or the semi-implicit Euler method."""
-    d, s, evaluations = len(state) // 2 - 1, len(tableau.b), 0
-    adaptive = grid.rtol > 0.0
-    step_size = _first_step_size(work, grid)
-    paused, n, elapsed = resume(work)
-    first_stage = 1 if paused and adaptive else 0
+def run_adaptive(constants, work, method, tableau, table, grid, state, rows, outputs):
+    """Integrate an arm by steps whose lengths follow the estimated error.
+
+    Args:
+        constants: `layout.Constants` of the arm.
+        work: `layout.Work` of the arm.
+        method: result of `layout.step_method` for a method with an error estimate.
+        tableau: tableau of this method.
+        table: (7, n + 6) drive table of `layout`.
+        grid: time grid of the rows.
+        state: (2 d + 2,) state and ledger (work and dissipation, J), overwritten.
+        rows: (r, 2 d + 2) states and ledgers after each interval, overwritten.
+        outputs: (r, OUTPUTS) results of `compute_outputs`, overwritten.
+
+    Returns:
+        Status, number of valid rows and number of evaluations of the accelerations.
+    """
+    d, evaluations = len(state) // 2 - 1, 0
+    step_size = work.next_step[0] if work.next_step[0] > 0.0 else grid.step
+    paused, elapsed = _resume(work)
+    first_stage = 1 if paused else 0
     for r in range(len(rows)):
         last = grid.substeps == 0
         while not last:
             if evaluations >= grid.max_evaluations:
-                pause(work, n, elapsed, step_size)
+                _pause(work, elapsed, step_size)
                 return PAUSED, r, evaluations
-            time, h, last = _next_step(grid, r, n, elapsed, step_size)
-            # an adaptive method evaluates the end of the step as stage s
-            explicit_step(constants, work, tableau, table, (time, h), state, (first_stage, s + adaptive))
-            evaluations += s + adaptive - first_stage
-            if adaptive:
-                for e in range(len(tableau.error)):
-                    for k in range(len(state)):
-                        work.error_estimate[e, k] = 0.0
-                    _add_stages(work.error_estimate[e], h, tableau.error[e], work.stages, s + 1, work.error_estimate[e])
-                error = _error_norm(work, len(tableau.error), grid, state)
-                step_size, first_stage = _next_step_size(step_size, h, last, error, tableau.order), 1
-                if not error <= 1.0:
-                    last = False
-                    if step_size < MIN_STEP * grid.step * grid.substeps:
-                        return (DIVERGED if out_of_bounds(work.new_state) else NOT_CONVERGED), r, evaluations
-                    continue
-                copy(work.stages[s], work.stages[0])
-            if out_of_bounds(work.new_state):
+            time, h, last = _next_step(grid, r, elapsed, step_size)
+            evaluations += _explicit_trial(constants, work, method[0], table, (time, h), state, first_stage)
+            evaluations += linearly_implicit_step(constants, work, method[1], table, (time, h), state)
+            evaluations += sequences_step(work, method[2], table, (time, h), state)
+            error = _error_norm(work, max(1, len(tableau.error)), grid, state)
+            step_size, first_stage = _next_step_size(step_size, h, last, error, tableau.order), 1
+            if not error <= 1.0:
+                last = False
+                if step_size < MIN_STEP * grid.step * grid.substeps:
+                    return (NOT_CONVERGED if in_bounds(work.new_state, 0) else DIVERGED), r, evaluations
+                continue
+            if not in_bounds(work.new_state, 0):
                 return DIVERGED, r, evaluations
+            copy(work.stages[len(tableau.b)], work.stages[0])  # stage 0 of the next step of an explicit method
             copy(work.new_state, state)
-            n, elapsed = n + 1, elapsed + h
-        n, elapsed = 0, 0.0
+            elapsed += h
+        elapsed = 0.0
         work.next_step[0] = step_size
         copy(state, rows[r])
         compute_outputs(constants, work, state[:d], state[d : 2 * d], outputs[r])
@@ -185,10 +178,37 @@ def run_explicit(constants, work, tableau, table, grid, state, rows, outputs):
 
 
 @inner
-def explicit_step(constants, work, tableau, table, span, state, stages):
+def _explicit_trial(constants, work, tableau, table, span, state, first_stage):
+    """Set work.new_state and work.error_estimate after a step of an explicit method; return the evaluations.
+
+    The stages before `first_stage` are those of the previous step. The end of the step is evaluated as stage s. Zero
+    for the tableau None, see `batch.fixed_step`.
+    """
+    if tableau is None:
+        return 0
+    end = len(tableau.b) + 1
+    _explicit_stages(constants, work, tableau, table, span, state, (first_stage, end))
+    for e in range(len(tableau.error)):
+        for k in range(len(state)):
+            work.error_estimate[e, k] = 0.0
+        _add_stages(work.error_estimate[e], span[1], tableau.error[e], work.stages, end, work.error_estimate[e])
+    return end - first_stage
+
+
+@inner
+def explicit_step(constants, work, tableau, table, span, state):
+    """Set work.new_state to the state and ledger after a step; return the evaluations, see `batch.fixed_step`."""
+    if tableau is None:
+        return 0
+    _explicit_stages(constants, work, tableau, table, span, state, (0, len(tableau.b)))
+    return len(tableau.b)
+
+
+@inner
+def _explicit_stages(constants, work, tableau, table, span, state, stages):
     """Set work.new_state to the state and ledger after a step; span = (start time, step), s.
 
-    `stages` = (first, end): stages that are evaluated; all are 0 to s, see `run_explicit`.
+    `stages` = (first, end): stages that are evaluated; all are 0 to s, see `_explicit_trial`.
     """
     d, s, (time, h), (first, end) = len(state) // 2 - 1, len(tableau.b), span, stages
     for i in range(first, end):
@@ -201,71 +221,17 @@ def explicit_step(constants, work, tableau, table, span, state, stages):
             work.new_state[k] = state[k] + h * work.new_state[d + k]
 
 
-@kernel
-def run_linearly_implicit(constants, work, tableau, table, grid, state, rows, outputs):
-    """Integrate by a W-method, with extrapolation if the tableau has several sequences.
-
-    The approximate Jacobian contains damping and stiffness of links and joints, and motor friction.
-    """
-    return _run_w_method(constants, work, None, tableau, table, grid, state, rows, outputs)
-
-
-@kernel
-def run_extrapolation(constants, work, lanes, tableau, table, grid, state, rows, outputs):
-    """Integrate one arm by an extrapolated method of one stage; the SIMD lanes hold several sequences of a step.
-
-    `lanes` are the address tables of the constants and of scratch arrays of sequences, and the schedule of
-    `_sequences_step`. The results equal the results of `run_linearly_implicit` to the bit.
-    """
-    sequences = constants_of_sequences(lanes[0]), work_of_sequences(lanes[1]), lanes[2]
-    return _run_w_method(constants, work, sequences, tableau, table, grid, state, rows, outputs)
-
-
-@inner
-def _run_w_method(constants, work, lanes, tableau, table, grid, state, rows, outputs):
-    """Integrate by a W-method; with `lanes` of `_sequences_step`, several sequences of a step are computed at once."""
-    d, evaluations = len(state) // 2 - 1, 0
-    adaptive = grid.rtol > 0.0
-    step_size = _first_step_size(work, grid)
-    _, n, elapsed = resume(work)
-    for r in range(len(rows)):
-        last = grid.substeps == 0
-        while not last:
-            if evaluations >= grid.max_evaluations:
-                pause(work, n, elapsed, step_size)
-                return PAUSED, r, evaluations
-            time, h, last = _next_step(grid, r, n, elapsed, step_size)
-            if lanes is None:
-                evaluations += linearly_implicit_step(constants, work, tableau, table, (time, h), state)
-            else:
-                evaluations += _sequences_step(lanes, work, tableau, table, (time, h), state)
-            if adaptive:
-                error = _error_norm(work, 1, grid, state)
-                step_size = _next_step_size(step_size, h, last, error, tableau.order)
-                if not error <= 1.0:
-                    last = False
-                    if step_size < MIN_STEP * grid.step * grid.substeps:
-                        return (DIVERGED if out_of_bounds(work.new_state) else NOT_CONVERGED), r, evaluations
-                    continue
-            if out_of_bounds(work.new_state):
-                return DIVERGED, r, evaluations
-            copy(work.new_state, state)
-            n, elapsed = n + 1, elapsed + h
-        n, elapsed = 0, 0.0
-        work.next_step[0] = step_size
-        copy(state, rows[r])
-        compute_outputs(constants, work, state[:d], state[d : 2 * d], outputs[r])
-    return OK, len(rows), evaluations
-
-
 @inner
 def linearly_implicit_step(constants, work, tableau, table, span, state):
-    """Set work.new_state to the state and ledger after a step; span = (start time, step), s.
+    """Set work.new_state to the state and ledger after a step of a W-method; return the evaluations.
 
-    An extrapolation method divides the step into sequence[j] equal substeps, for each j, and adds the results with
-    weights. The first substeps of all sequences start from the same state and share its kinematics. Returns the number
-    of evaluations.
+    span = (start time, step), s; see `batch.fixed_step`. The approximate Jacobian contains damping and stiffness of
+    links and joints, and motor friction. An extrapolation method divides the step into sequence[j] equal substeps, for
+    each j, and adds the results with weights. The first substeps of all sequences start from the same state and share
+    its kinematics.
     """
+    if tableau is None:
+        return 0
     s, parts, evaluations, (time, step) = len(tableau.b), tableau.sequence, 0, span
     for j in range(len(parts)):
         copy(state, work.extrapolated[j])
@@ -284,14 +250,17 @@ def linearly_implicit_step(constants, work, tableau, table, span, state):
 
 
 @inner
-def _sequences_step(lanes, work, tableau, table, span, state):
-    """Set work.new_state after an extrapolated step of a one-stage method, with several sequences computed at once.
+def sequences_step(work, method, table, span, state):
+    """Set work.new_state as `linearly_implicit_step`, to the bit, for an extrapolated step of a one-stage method.
 
-    `work` are the scratch arrays of one arm. `lanes` are constants and scratch arrays of sequences, and a schedule (r,
-    lanes, 2): sequence and substep of each SIMD lane in each of r rounds. An idle lane repeats steps whose results are
-    discarded. Returns the number of evaluations.
+    Several sequences of the step of one arm are computed at once. `work` are the scratch arrays of the arm. method =
+    (tableau, `arguments.SequenceTables`, schedule (r, lanes, 2)): the schedule is the sequence and the substep of each
+    SIMD lane in each of r rounds. An idle lane repeats steps whose results are discarded.
     """
-    (constants, lane_work, schedule), parts, (time, step) = lanes, tableau.sequence, span
+    if method is None:
+        return 0
+    (tableau, tables, schedule), (time, step), evaluations = method, span, 0
+    constants, lane_work, parts = constants_of(tables, 0), work_of(tables, 0), tableau.sequence
     start, steps = lane_work.row, lane_work.next_step
     for r in range(len(schedule)):
         for k in range(schedule.shape[1]):
@@ -311,7 +280,6 @@ def _sequences_step(lanes, work, tableau, table, span, state):
                 for i in range(len(state)):
                     work.extrapolated[j, i] = extract_lane(start, i, k)
     _extrapolate(work, tableau, state)
-    evaluations = 0
     for j in range(len(parts)):
         evaluations += parts[j]
     return evaluations

@@ -12,8 +12,7 @@ from flexman_gym.common.arrays import Array, BoolArray, Matrix, Vector
 from flexman_gym.common.checks import check_magnitudes, flag, number_array, vector
 from flexman_gym.common.errors import value_error
 from flexman_gym.kernels import dynamics, inverse, outputs
-from flexman_gym.kernels.arguments import address_table, aligned_zeros, tangent_constants
-from flexman_gym.kernels.lanes import TANGENTS
+from flexman_gym.kernels.arguments import TangentTables, address_tables, aligned_zeros, tangent_constants
 from flexman_gym.kernels.layout import (
     LARGEST_STATE,
     OUTPUTS,
@@ -343,9 +342,8 @@ def inertial_jacobian(model: Model, motion: Array) -> Array:
         motion: (3, d) coordinates, speeds and accelerations; the columns are their entries in this order.
     """
     constants, work = tangent_constants(model.constants), make_work(model.constants, aligned_zeros)
-    tables = address_table(constants, TANGENTS), address_table(work, TANGENTS)
     out = np.zeros((model.n_dof + 3, motion.size))
-    inverse.inertial_jacobian(*tables, motion, out)
+    inverse.inertial_jacobian(address_tables(TangentTables, constants, work), motion, out)
     return out
 
 

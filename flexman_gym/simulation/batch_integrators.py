@@ -17,12 +17,20 @@ from flexman_gym.common.arrays import Array
 from flexman_gym.common.errors import value_error
 from flexman_gym.kernels import batch as kernels
 from flexman_gym.kernels import layout
-from flexman_gym.kernels.arguments import PER_ARM, address_table, aligned_zeros
-from flexman_gym.kernels.lanes import ARMS, NUMBER
-from flexman_gym.kernels.layout import ARMS_PER_GROUP, Constants, IntArray, Period, TimeGrid, make_work
+from flexman_gym.kernels.arguments import (
+    ELEMENTS,
+    PER_ARM,
+    ArmTables,
+    SingleTables,
+    address_table,
+    aligned_zeros,
+    make_tables,
+)
+from flexman_gym.kernels.lanes import NUMBER
+from flexman_gym.kernels.layout import ARMS_PER_GROUP, Constants, IntArray, Period, StepGrid, make_work
 from flexman_gym.kernels.outputs import tip_accelerations
 from flexman_gym.scene.signals import signal_table
-from flexman_gym.simulation.integrator import LANE_COST_RATIO, Integrator, evaluations_per_call
+from flexman_gym.simulation.integrator import LANE_COST_RATIO, Integrator, evaluations_per_call, step_ranges
 from flexman_gym.simulation.methods import FixedStepMethod
 from flexman_gym.simulation.worker_thread import WorkerThread
 
@@ -147,22 +155,23 @@ GROUPS_PER_THREAD = 4  # least number of groups of arms per thread; passing a ta
 
 
 class LaneIntegrator(BatchIntegrator):
-    """Batch integrator by fixed steps of a linearly implicit method; the ARMS_PER_GROUP arms of a group are SIMD lanes.
+    """Batch integrator by fixed steps; the ARMS_PER_GROUP arms of a group are SIMD lanes.
 
     A single arm without foreshortening is integrated by faster kernels of one arm, with equal results to the bit.
     `period` = (interval, substeps): the control period or output interval, s, and the number of steps in it.
     """
 
     state_fields = ("own",)
-    _element, _kernel, _own = ARMS, staticmethod(kernels.run_batch), PER_ARM
+    _lane_kind: type[SingleTables] = ArmTables
 
     def __init__(
         self, constants: Constants, method: FixedStepMethod, period: tuple[float, int], arms: int, threads: int
     ) -> None:
-        self._method = method.kernel_arguments
+        self._method, self._arguments = method, method.kernel_arguments
         self._step, self._substeps = period[0] / period[1], period[1]
         self._single = arms == 1 and len(constants.station_mass) == 0
-        groups = -(-arms // ARMS_PER_GROUP)
+        self._kind, self._size = (SingleTables, 1) if self._single else (self._lane_kind, ARMS_PER_GROUP)
+        groups = -(-arms // self._size)
         if self._single:
             self._constants = [constants._replace(**_own_constants(constants))]
             self._works = [make_work(constants)]
@@ -173,9 +182,9 @@ class LaneIntegrator(BatchIntegrator):
             ]
         step_cost = LANE_COST_RATIO * method.evaluations
         self._max_steps = max(1, evaluations_per_call(constants) // step_cost)  # steps of a group in a kernel call
-        kind = NUMBER if self._single else self._element
-        self._tables = np.array([address_table(each, kind, self._own) for each in self._constants])
-        self._work_tables = [address_table(each, kind) for each in self._works]
+        element, own = ELEMENTS[self._kind]
+        self._tables = np.array([address_table(each, element, own) for each in self._constants])
+        self._work_tables = [address_table(each, element) for each in self._works]
         bounds = np.linspace(0, groups, len(self._works) + 1).round().astype(int)
         self._thread_groups = [slice(int(first), int(end)) for first, end in pairwise(bounds)]
         self._reset_status = np.zeros(arms, dtype=np.int64)
@@ -221,7 +230,7 @@ class LaneIntegrator(BatchIntegrator):
         self._integrate_period(drives, 0, rows, outputs, self._reset_status)
 
     def forget(self, arms: IntArray) -> None:
-        """Do nothing: linearly implicit methods with fixed steps keep no data between steps."""
+        """Do nothing: methods whose arms share vector registers keep no data between steps."""
 
     def integrate(self, drives: Array, periods: Array, rows: Array, outputs: Array, status: IntArray) -> None:
         """Integrate the arms whose status is OK over one control period."""
@@ -237,9 +246,9 @@ class LaneIntegrator(BatchIntegrator):
         """
         if not self._single or self._substeps > self._max_steps:
             return None
-        tables = self._tables[0], self._work_tables[0], address_table(period, NUMBER)
+        tables = self._tables, self._work_tables[0], address_table(period, NUMBER)
         span = self._step, self._substeps
-        return tables, self._method, drives[:, None], span, rows, outputs, status, self._no_record
+        return tables, self._arguments, drives[:, None], span, rows, outputs, status, self._no_record
 
     def integrate_feedback(
         self, drives: Array, rows: Array, outputs: Array, status: IntArray, record: PeriodRecord, feedback: Feedback
@@ -272,60 +281,44 @@ class LaneIntegrator(BatchIntegrator):
     def compute_tip_accelerations(self, drives: Array, rows: Array, result: Array) -> None:
         """Compute the tip accelerations of all arms."""
         if self._single:
-            kernels.tip_accelerations_single(self._tables[0], self._work_tables[0], drives, rows, result)
+            kernels.tip_accelerations((self._tables, self._work_tables[0]), drives, rows, result)
             return
 
         def run_groups(groups: slice, work: IntArray) -> Iterator[None]:
-            arms = _arm_slice(groups)
-            kernels.tip_accelerations_batch(self._tables[groups], work, drives[arms], rows[arms], result[arms])
-            yield
+            for tables, arms in self._parts(groups, len(self._tables), work):
+                kernels.tip_accelerations(tables, drives[arms], rows[arms], result[arms])
+                yield
 
         self._run_in_threads(run_groups)
 
-    def run(self, drives: Array, rows: Array, outputs: Array, counts: IntArray, grid: tuple[float, float, int]) -> None:
-        """Integrate all arms under drives that change within an output interval, see `kernels.batch.run_batch`.
-
-        Available for several arms, and for a single arm with foreshortening.
+    def run(
+        self, drives: Array, grid: StepGrid, count: int, moved: tuple[Array, Array, Array], status: IntArray
+    ) -> IntArray:
+        """Integrate the arms whose status is OK under drives that change within an output interval.
 
         Args:
             drives: (b, 7, n + 6) drive tables of `kernels.layout`.
-            rows: (b, r, 2 d + 2) states and energy ledgers; the first row is the start, all other rows are overwritten.
-            outputs: (b, r, OUTPUTS), overwritten.
-            counts: (b, 2) numbers of valid rows after the first and of steps, overwritten.
-            grid: time of the first row (s), step (s), and number of steps between rows.
+            grid: time grid of the rows.
+            count: number of rows to fill.
+            moved: states and energy ledgers (b, 2 d + 2), set to those at the end; rows (b, r, 2 d + 2) and outputs
+                (b, r, OUTPUTS), of which `count` are overwritten.
+            status: (b,) overwritten for arms that fail.
+
+        Returns:
+            Numbers (b, 2) of successful steps and of evaluations of the accelerations.
         """
-        clock = TimeGrid(*grid, 0.0, 0.0)
+        counts = np.zeros((len(status), 2), dtype=np.int64)
+        steps = count * grid.substeps
 
         def run_groups(groups: slice, work: IntArray) -> Iterator[None]:
-            several = range(groups.start, groups.stop)
-            at_once = len(several) * clock.substeps * (rows.shape[1] - 1) <= self._max_steps
-            at_once = at_once and rows.flags.c_contiguous and outputs.flags.c_contiguous
-            for some in [groups] if at_once else [slice(group, group + 1) for group in several]:
-                arms = _arm_slice(some)
-                given, moved = (self._tables[some], work, *self._method, drives[arms]), (rows[arms], outputs[arms])
-                if at_once:
-                    yield self._kernel(*given, clock, *moved, counts[arms])
-                else:
-                    yield from self._run_group(given, clock, *moved, counts[arms])
+            for tables, arms in self._parts(groups, max(1, self._max_steps // max(1, steps)), work):
+                given, part = (tables, self._arguments, drives[arms], grid), tuple(each[arms] for each in moved)
+                for some in step_ranges(self._method, steps, self._max_steps):
+                    kernels.run_steps(*given, some, part, status[arms], counts[arms])
+                    yield
 
         self._run_in_threads(run_groups)
-
-    def _run_group(
-        self, given: tuple[Any, ...], whole: TimeGrid, rows: Array, outputs: Array, counts: IntArray
-    ) -> Iterator[None]:
-        """Integrate a group of arms in kernel calls of bounded length; yield after each call."""
-        last, ok = rows[:, 0].copy(), np.ones(len(rows), dtype=bool)
-        for row, count, steps, first in _row_chunks(rows.shape[1] - 1, whole.substeps, self._max_steps):
-            part, read = (np.zeros((len(rows), count + 1, each.shape[2])) for each in (rows, outputs))
-            part[:, 0], now = last, np.zeros_like(counts)
-            clock = whole._replace(substeps=steps, first_step=first)
-            self._kernel(*given, clock, part, read, now)
-            rows[:, row + 1 : row + count + 1], outputs[:, row + 1 : row + count + 1] = part[:, 1:], read[:, 1:]
-            if first == 0:
-                outputs[:, 0] = read[:, 0]
-            counts[ok, 0], counts[:, 1] = row + now[ok, 0], counts[:, 1] + ok * now[:, 1]
-            last, ok = part[:, -1], ok & (now[:, 0] == count)
-            yield
+        return counts
 
     def _integrate_period(self, drives: Array, substeps: int, rows: Array, outputs: Array, status: IntArray) -> None:
         """Integrate the arms whose status is OK over a control period.
@@ -366,25 +359,29 @@ class LaneIntegrator(BatchIntegrator):
         rows, outputs, status = moved
         recorded = record or self._no_record
         if self._single:
-            tables = self._tables[0], self._work_tables[0], NO_PERIOD
+            tables = self._tables, self._work_tables[0], NO_PERIOD
             for part in parts:
                 if status[0] == layout.OK:
-                    kernels.advance_single(tables, self._method, drives, (self._step, part), *moved, recorded)
+                    kernels.advance_single(tables, self._arguments, drives, (self._step, part), *moved, recorded)
             return
 
         def run_groups(groups: slice, work: IntArray) -> Iterator[None]:
-            for first, count in _chunks(groups.stop - groups.start, groups_per_call):
-                some = slice(groups.start + first, groups.start + first + count)
-                arms = _arm_slice(some)
+            for tables, arms in self._parts(groups, groups_per_call, work):
                 for part in parts:
                     inputs = (drives[arms], feedback[0][arms], feedback[1][arms], feedback[2][arms])
                     kernels.advance_batch(
-                        self._tables[some], work, self._method, inputs, (self._step, part),
+                        tables, self._arguments, inputs, (self._step, part),
                         rows[arms], outputs[arms], status[arms], (recorded[0][arms], recorded[1][arms]),
                     )  # fmt: skip
                     yield
 
         self._run_in_threads(run_groups)
+
+    def _parts(self, groups: slice, count: int, work: IntArray) -> Iterator[tuple[tuple[IntArray, IntArray], slice]]:
+        """Yield the address tables and the indices of the arms of `count` groups at a time."""
+        for first in range(groups.start, groups.stop, count):
+            end = min(first + count, groups.stop)
+            yield make_tables(self._kind, self._tables[first:end], work), slice(first * self._size, end * self._size)
 
     def _run_in_threads(self, task: Callable[[slice, IntArray], Iterator[None]]) -> None:
         """Run a task in each thread with the groups and scratch arrays of the thread; Ctrl-C stops it between calls."""
@@ -415,24 +412,7 @@ class LaneIntegrator(BatchIntegrator):
         return self._workers
 
 
-def _arm_slice(groups: slice) -> slice:
-    """Return the indices of the arms in a range of groups."""
-    return slice(groups.start * ARMS_PER_GROUP, groups.stop * ARMS_PER_GROUP)
-
-
 def _chunks(count: int, most: int) -> Iterator[tuple[int, int]]:
     """Yield the first index and the length of consecutive chunks of `count` items, at most `most` in a chunk."""
     for first in range(0, count, most):
         yield first, min(most, count - first)
-
-
-def _row_chunks(rows: int, substeps: int, most: int) -> Iterator[tuple[int, int, int, int]]:
-    """Yield the kernel calls, of at most `most` steps, for `rows` rows with `substeps` steps between them.
-
-    A call is (row, count, steps, first): the row from which it starts, the number of rows to fill, the number of steps
-    between these rows, and the number of steps from time 0. If `substeps` exceeds `most`, a row is filled several
-    times, the last time with the state at its time.
-    """
-    for row, count in _chunks(rows, max(1, most // substeps)):
-        for first, steps in _chunks(substeps, most):
-            yield row, count, steps, row * substeps + first

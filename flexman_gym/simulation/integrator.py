@@ -1,30 +1,21 @@
 """Integrator of one arm: an integration method with a model and scratch arrays, and checks of step and tolerances."""
 
 import math
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from functools import partial
-from typing import Any
 
 import numpy as np
 
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import one_of, positive
 from flexman_gym.common.errors import value_error
-from flexman_gym.kernels import implicit, layout, outputs, runge_kutta
-from flexman_gym.kernels.arguments import address_table, aligned_zeros
+from flexman_gym.kernels import batch, layout, outputs, runge_kutta
+from flexman_gym.kernels.arguments import SequenceTables, address_tables, aligned_zeros
 from flexman_gym.kernels.lanes import SEQUENCES
-from flexman_gym.kernels.layout import Constants, GeneralisedAlpha, IntArray, Tableau, TimeGrid, Work, make_work
+from flexman_gym.kernels.layout import Constants, IntArray, StepGrid, TimeGrid, Work, make_work, step_method
 from flexman_gym.model.model import Model
 from flexman_gym.scene.signals import signal_table
-from flexman_gym.simulation.methods import (
-    METHODS,
-    Explicit,
-    Implicit,
-    IteratedGauss,
-    LinearlyImplicit,
-    Method,
-    ScipyMethod,
-)
+from flexman_gym.simulation.methods import METHODS, FixedStepMethod, LinearlyImplicit, Method, ScipyMethod
 
 MAX_CALL_COST = 1e8  # flops, roughly; largest cost of a kernel call, at most 0.1 s
 LANE_COST_RATIO = 4  # upper bound of the cost of an evaluation of ARMS_PER_GROUP arms relative to a single arm
@@ -41,13 +32,16 @@ def evaluations_per_call(constants: Constants) -> int:
     return max(1, int(MAX_CALL_COST / (sides**3).sum()))
 
 
-# Kernel of each family of methods; ScipyMethod has none.
-KERNELS: dict[type, Callable[..., tuple[int, int, int]]] = {
-    Explicit: runge_kutta.run_explicit,
-    LinearlyImplicit: runge_kutta.run_linearly_implicit,
-    Implicit: implicit.run_implicit,
-    IteratedGauss: implicit.run_fixed_newton,
-}
+def step_ranges(method: FixedStepMethod, count: int, most: int) -> Iterator[tuple[int, int]]:
+    """Yield first and end index of the steps of kernel calls of at most `most` steps, for `count` fixed steps.
+
+    Zero steps are one call, which computes the outputs at the start, see `kernels.batch.run_steps`.
+    """
+    first, end = (method.first_step, count) if count else (0, 1)
+    for start in range(first, end, most):
+        yield start, min(start + most, end)
+
+
 # Least numbers of sequences of an extrapolation method for which SIMD lanes are faster: flexible and rigid arms.
 MIN_SEQUENCES, MIN_SEQUENCES_RIGID = 4, 6
 
@@ -134,16 +128,14 @@ class Integrator:
         self.tolerance = tolerance or (0.0, 0.0)
         self._max_evaluations = evaluations_per_call(model.constants)
         self._at_rest = signal_table([None] * (model.n_joints + 6))
-        self._coefficients: Tableau | GeneralisedAlpha | tuple[int, float | None, None] | None = None
-        if not isinstance(method, ScipyMethod):
-            tableau, counts = method.kernel_arguments
-            self._coefficients = tableau or counts[2] or counts
-        self._lanes: tuple[Constants, tuple[IntArray, ...]] | None = None
+        self._method = step_method() if isinstance(method, ScipyMethod) else method.kernel_arguments
+        self._tableau = self._method[0] or self._method[1]
         fewest = MIN_SEQUENCES if model.n_elastic else MIN_SEQUENCES_RIGID
+        self._lane_work: Work | None = None
         if isinstance(method, LinearlyImplicit) and len(method.sequence) >= fewest:
             self._lane_work = make_work(model.constants, partial(aligned_zeros, lanes=SEQUENCES.width))
-            tables = address_table(self.constants, SEQUENCES), address_table(self._lane_work, SEQUENCES)
-            self._lanes = self.constants, (*tables, _extrapolation_schedule(method.sequence, SEQUENCES.width))
+            self._schedule = _extrapolation_schedule(method.sequence, SEQUENCES.width)
+        self._bound: Constants | None = None  # constants of the sequences of an extrapolation in SIMD lanes
 
     def __call__(
         self, drive: Array, grid: tuple[float, float, int], state: Array, rows: Array, result: Array
@@ -161,31 +153,43 @@ class Integrator:
         Returns:
             Status, number of valid rows, and number of evaluations of the accelerations.
         """
-        clock = TimeGrid(*grid, *self.tolerance)
         if isinstance(self.method, ScipyMethod):
-            return self._by_scipy(drive, clock, state, rows, result)
-        return self._in_calls(drive, clock, state, rows, result)
+            return self._by_scipy(drive, TimeGrid(*grid, *self.tolerance), state, rows, result)
+        if self._lane_work is not None and self._bound is not self.constants:
+            self._bound, tables = self.constants, address_tables(SequenceTables, self.constants, self._lane_work)
+            self._method = step_method(sequences=(self._tableau, tables, self._schedule))
+        if self.tolerance[0] > 0.0:
+            return self._by_adaptive_steps(drive, TimeGrid(*grid, *self.tolerance), state, rows, result)
+        return self._by_fixed_steps(self.method, drive, StepGrid(*grid), state, rows, result)
 
-    def _in_calls(
+    # Integration takes several kernel calls of bounded length: Python handles Ctrl-C only between two calls.
+    def _by_fixed_steps(
+        self, method: FixedStepMethod, drive: Array, grid: StepGrid, state: Array, rows: Array, result: Array
+    ) -> tuple[int, int, int]:
+        """Integrate by fixed steps."""
+        status, counts = np.zeros(1, dtype=np.int64), np.zeros((1, 2), dtype=np.int64)
+        given = (self.constants, self.work), self._method, drive[None], grid
+        moved, most = (state[None], rows[None], result[None]), max(1, self._max_evaluations // method.evaluations)
+        for steps in step_ranges(method, len(rows) * grid.substeps, most):
+            batch.run_steps(*given, steps, moved, status, counts)
+            if status[0] != layout.OK:
+                break
+        valid = int(counts[0, 0]) // grid.substeps if grid.substeps else len(rows)
+        return int(status[0]), valid, int(counts[0, 1])
+
+    def _by_adaptive_steps(
         self, drive: Array, clock: TimeGrid, state: Array, rows: Array, result: Array
     ) -> tuple[int, int, int]:
-        """Integrate in several kernel calls of bounded length: Python handles Ctrl-C only between two calls."""
+        """Integrate by steps whose lengths follow the estimated error."""
         valid, evaluations, status = 0, 0, layout.PAUSED
         self.work.progress[:] = 0.0  # an integration interrupted by Ctrl-C leaves it set
         while status == layout.PAUSED:
-            part = clock._replace(first_step=valid * clock.substeps, max_evaluations=self._max_evaluations)
-            status, good, more = self._call_kernel(drive, part, state, rows[valid:], result[valid:])
+            part = clock._replace(first_row=valid, max_evaluations=self._max_evaluations)
+            status, good, more = runge_kutta.run_adaptive(
+                self.constants, self.work, self._method, self._tableau, drive, part, state, rows[valid:], result[valid:]
+            )
             valid, evaluations = valid + good, evaluations + more
         return status, valid, evaluations
-
-    def _call_kernel(self, *rest: Any) -> tuple[int, int, int]:
-        """Call the kernel of the method; several sequences of a long extrapolation are computed at once in lanes."""
-        rest = self._coefficients, *rest
-        if self._lanes is None:
-            return KERNELS[type(self.method)](self.constants, self.work, *rest)
-        if self._lanes[0] is not self.constants:
-            self._lanes = self.constants, (address_table(self.constants, SEQUENCES), *self._lanes[1][1:])
-        return runge_kutta.run_extrapolation(self.constants, self.work, self._lanes[1], *rest)
 
     def forget(self) -> None:
         """Clear the step size and stages that the method keeps between steps."""

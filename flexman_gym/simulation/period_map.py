@@ -7,15 +7,13 @@ import numpy as np
 
 from flexman_gym.common.arrays import Array, IntArray
 from flexman_gym.common.errors import value_error
-from flexman_gym.kernels import batch as kernels
 from flexman_gym.kernels import layout
-from flexman_gym.kernels.arguments import ALL, PER_ARM, tangent_constants
-from flexman_gym.kernels.lanes import TANGENTS
-from flexman_gym.kernels.layout import ARMS_PER_GROUP, Constants
+from flexman_gym.kernels.arguments import ELEMENTS, AllTangentTables, TangentTables, tangent_constants
+from flexman_gym.kernels.layout import ARMS_PER_GROUP, Constants, StepGrid
 from flexman_gym.model.model import Model
 from flexman_gym.scene.signals import signal_table
 from flexman_gym.simulation.batch_integrators import LaneIntegrator
-from flexman_gym.simulation.methods import FixedStepMethod, Implicit, Method, ScipyMethod
+from flexman_gym.simulation.methods import FixedStepMethod, Method, ScipyMethod
 
 DIRECTIONS = ARMS_PER_GROUP - 1  # derivatives that one integration computes
 
@@ -23,9 +21,8 @@ DIRECTIONS = ARMS_PER_GROUP - 1  # derivatives that one integration computes
 class TangentIntegrator(LaneIntegrator):
     """Integrator whose groups are an arm and its derivatives with respect to DIRECTIONS parameters each.
 
-    Drive tables, rows and outputs of `run` are those of ARMS_PER_GROUP * groups arms: those of the arm, followed by
-    their derivatives, for each group. A method that iterates until it converges keeps accelerations between steps, of
-    one group only.
+    Arrays of `run` are those of ARMS_PER_GROUP * groups arms: those of the arm, followed by their derivatives, for each
+    group. A method that iterates until it converges keeps accelerations between steps, of one group only.
 
     Args:
         constants: constants of the arm.
@@ -35,8 +32,6 @@ class TangentIntegrator(LaneIntegrator):
         whole: True for derivatives of all constants, False for those of the constants PER_ARM.
     """
 
-    _element = TANGENTS
-
     def __init__(
         self,
         constants: Constants,
@@ -45,9 +40,7 @@ class TangentIntegrator(LaneIntegrator):
         groups: int,
         whole: bool = False,
     ) -> None:
-        self._own = ALL if whole else PER_ARM
-        self._kernel = kernels.run_all_tangents if whole else kernels.run_tangents
-        self._starts = isinstance(method, Implicit) and method.radius is not None
+        self._lane_kind = AllTangentTables if whole else TangentTables
         super().__init__(constants, method, period, ARMS_PER_GROUP * groups, threads=1)
 
     @staticmethod
@@ -58,23 +51,13 @@ class TangentIntegrator(LaneIntegrator):
 
     def _group_constants(self, constants: Constants) -> Constants:
         """Return the constants of a group with derivatives of zero."""
-        return tangent_constants(constants, self._own)
+        return tangent_constants(constants, ELEMENTS[self._lane_kind][1])
 
     def set_derivative(self, direction: int, constants: dict[str, Array]) -> None:
         """Set the derivatives of constants with respect to the parameter of a direction, by name."""
         group, lane = divmod(direction, DIRECTIONS)
         for name, values in constants.items():
             getattr(self._constants[group], name)[..., 1 + lane] = values
-
-    def run(self, drives: Array, rows: Array, outputs: Array, counts: IntArray, grid: tuple[float, float, int]) -> None:
-        """Integrate under drives as `LaneIntegrator.run`; generalised-alpha begins with a step of length zero.
-
-        That step sets the accelerations to those under the drives, see `kernels.implicit.run_implicit`.
-        """
-        if self._starts:
-            start = np.repeat(rows[:, :1], 2, axis=1)
-            super().run(drives, start, np.zeros_like(outputs[:, :2]), counts, (grid[0], 0.0, 1))
-        super().run(drives, rows, outputs, counts, grid)
 
 
 class _PeriodEnd(NamedTuple):
@@ -119,7 +102,7 @@ class PeriodMap:
         if isinstance(method, ScipyMethod) or not method.in_lanes:
             raise value_error("method", method.name, "one of fixed steps that `simulate_all` integrates in groups")
         groups = max(1, -(-len(parameters) // DIRECTIONS))
-        self.model, self.count, self._grid = model, len(parameters), (0.0, period[0] / period[1], period[1])
+        self.model, self.count, self._grid = model, len(parameters), StepGrid(0.0, period[0] / period[1], period[1])
         self._integrator = TangentIntegrator(constants or model.constants, method, period, groups)
         for direction, derivatives in enumerate(parameters):
             self._integrator.set_derivative(direction, derivatives)
@@ -127,8 +110,9 @@ class PeriodMap:
         self._lanes = TangentIntegrator.derivative_rows(len(parameters))
         self._drives = np.zeros((count, 7, n + 6))
         self._drives[::ARMS_PER_GROUP] = signal_table([None] * (n + 6))
-        self._rows, self._outputs = np.zeros((count, 2, 2 * model.n_dof + 2)), np.zeros((count, 2, layout.OUTPUTS))
-        self._counts = np.zeros((count, 2), dtype=np.int64)
+        size = 2 * model.n_dof + 2
+        self._moved = np.zeros((count, size)), np.zeros((count, 1, size)), np.zeros((count, 1, layout.OUTPUTS))
+        self._status = np.zeros(count, dtype=np.int64)
 
     def advance(self, row: Array, drive: Array, rows: Array, drives: Array) -> _PeriodEnd:
         """Integrate the arm and its derivatives over a control period.
@@ -142,19 +126,21 @@ class PeriodMap:
         Returns:
             The end of the period.
         """
-        self._rows[::ARMS_PER_GROUP, 0], self._rows[self._lanes, 0] = row, rows
         self._drives[::ARMS_PER_GROUP, layout.OFFSET], self._drives[self._lanes, layout.OFFSET] = drive, drives
-        self._integrator.run(self._drives, self._rows, self._outputs, self._counts, self._grid)
-        end, outputs = self._rows[:, 1], self._outputs[:, 1]
-        return _PeriodEnd(
-            end[0].copy(), outputs[0].copy(), end[self._lanes], outputs[self._lanes], bool(self._counts[0, 0] < 1)
-        )
+        end, outputs = self._run(self._grid, row, rows)
+        failed = bool(self._status[0] != layout.OK)
+        return _PeriodEnd(end[0].copy(), outputs[0].copy(), end[self._lanes], outputs[self._lanes], failed)
+
+    def _run(self, grid: StepGrid, row: Array, rows: Array) -> tuple[Array, Array]:
+        """Return rows and outputs of the arm and its derivatives at the end of an interval of a time grid."""
+        states, ends, outputs = self._moved
+        states[::ARMS_PER_GROUP], states[self._lanes], self._status[:] = row, rows, layout.OK
+        self._integrator.run(self._drives, grid, 1, self._moved, self._status)
+        return ends[:, 0], outputs[:, 0]
 
     def outputs(self, row: Array, rows: Array) -> Array:
         """Return the derivatives (p, OUTPUTS) of the outputs at a row (2 d + 2,) with derivatives (p, 2 d + 2)."""
-        inputs = np.zeros((len(rows) + 1, self.model.n_joints + 6))
-        self.advance(row, inputs[0], rows, inputs[1:])
-        return self._outputs[self._lanes, 0]
+        return self._run(StepGrid(0.0, 0.0, 0), row, rows)[1][self._lanes]
 
 
 def period_jacobian(model: Model, method: Method, period: tuple[float, int], state: Array, drive: Array) -> Array:

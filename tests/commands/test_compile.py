@@ -53,7 +53,7 @@ def test_each_kernel_that_takes_long_says_how_long_is_left(capsys, monkeypatch):
 
     def compile_one(kernel):
         words.on_start(SimpleNamespace(data={"dispatcher": kernel}))
-        words.on_start(SimpleNamespace(data={"dispatcher": implicit.fixed_newton_step}))  # called by the kernel
+        words.on_start(SimpleNamespace(data={"dispatcher": implicit.midpoint_step}))  # called by the kernel
         words.on_end(None)
         words.on_end(None)
 

@@ -53,6 +53,7 @@ FAST = {
     "info": {"info_keys": ["motor_angles", "tip_acceleration", "action"], "energy_alarm": 1e-9},
     "limits": {"limits": {"rate": 2.0}},
     "method": {"method": "ros2", "step": 0.005},
+    "explicit method": {"method": "rk4", "step": 0.01 / 64, "modes": (1, 1), "elements": 1},
     "fine": {"step": 0.01 / 64},
 }  # fmt: skip
 # one setting each with which the general way is taken
@@ -79,7 +80,7 @@ SLOW = {
     "preview": {"task": {"kind": "track", "preview": [0.05]}},
     "hold": {"task": "hold"},
     "stiffening": {"stiffening": True},
-    "explicit method": {"method": "rk4", "step": 0.01 / 64, "modes": (1, 1), "elements": 1},
+    "implicit method": {"method": "generalised_alpha"},
 }
 
 

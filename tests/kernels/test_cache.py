@@ -162,7 +162,7 @@ DAMAGES = {
 @pytest.mark.parametrize("suffix", ["nbi", "nbc"])
 @pytest.mark.parametrize("damage", DAMAGES)
 def test_a_damaged_file_counts_as_missing_until_it_is_written_again(tmp_path, damage, suffix):
-    files = type(kernels.run_batch._cache._cache_file)(str(tmp_path), "kernel", "stamp")
+    files = type(kernels.run_steps._cache._cache_file)(str(tmp_path), "kernel", "stamp")
     files.save("key", "code")
     assert files.load("key") == "code" and files.load("other") is None
     (path,) = tmp_path.glob(f"*.{suffix}")

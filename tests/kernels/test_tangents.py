@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 
 import flexman_gym as fm
-from flexman_gym.kernels.arguments import address_table, aligned_zeros, work_of_tangents
+from flexman_gym.kernels.arguments import TangentTables, address_tables, aligned_zeros, tangent_constants, work_of
 from flexman_gym.kernels.compile import FLAGS
 from flexman_gym.kernels.lanes import (
-    TANGENTS,
     add_products,
     chain,
     fma,
@@ -51,9 +50,9 @@ FUNCTIONS = {  # name -> value, and partial derivatives with respect to a, b and
 
 
 @numba.njit(**FLAGS)
-def compute(work_table):
+def compute(tables):
     """Set work.new_state to the functions of the first three entries of work.row; return tests of b and b - b."""
-    work = work_of_tangents(work_table)
+    work = work_of(tables, 0)
     a, b, c, out = work.row[0], work.row[1], work.row[2], work.new_state
     out[0], out[1], out[2], out[3] = a + b, a - b, a * b, 2.0 * a
     out[4], out[5], out[6], out[7] = a / b, a / 3.0, 3.0 / b, -b
@@ -69,10 +68,10 @@ def compute(work_table):
 @pytest.fixture(scope="module")
 def computed():
     """Return the tests, and the numbers (k, 8) of the functions with tangents of the parameters."""
-    work = make_work(MODEL.constants, aligned_zeros)
+    constants, work = tangent_constants(MODEL.constants), make_work(MODEL.constants, aligned_zeros)
     tangents = np.random.default_rng(0).normal(size=(3, 7))
     work.row[:3, 0], work.row[:3, 1:] = (A, B, C), tangents
-    tests = compute(address_table(work, TANGENTS))
+    tests = compute(address_tables(TangentTables, constants, work))
     return tests, work.new_state[: len(FUNCTIONS)].copy(), tangents
 
 

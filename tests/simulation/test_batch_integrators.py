@@ -48,7 +48,7 @@ def drives_for(model, held, seed):
 @QUICK
 @given(
     affected(),
-    st.sampled_from(["ros2", "extrapolated_euler_3", "extrapolated_euler_7", "midpoint_2", "gauss_2"]),
+    st.sampled_from(["rk4", "ros2", "extrapolated_euler_3", "extrapolated_euler_7", "midpoint_2", "gauss_2"]),
 )
 def test_lanes_hold_the_bits_of_an_arm_alone(case, method):
     """With rotors that spin, friction, disturbances, prescribed joints and foreshortening."""
@@ -79,7 +79,7 @@ def test_threads_share_the_groups(threads, method):
         assert np.array_equal(result, wanted)
 
 
-@pytest.mark.parametrize("method", ["ros2", "midpoint_3", "midpoint_corrected_3", "gauss_2"])
+@pytest.mark.parametrize("method", ["semi_implicit_euler", "ros2", "midpoint_3", "midpoint_corrected_3", "gauss_2"])
 def test_a_lane_that_diverges_disturbs_no_other(method):
     model = fm.build_model(fm.catalog.paper_rrr(), modes=2)
     states = 1e-3 * np.random.default_rng(0).normal(size=(9, 2 * model.n_dof))

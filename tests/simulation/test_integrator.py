@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import flexman_gym as fm
-from flexman_gym.kernels import layout
+from flexman_gym.kernels import layout, runge_kutta
 from flexman_gym.simulation import batch_integrators, integrator
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.batch_integrators import SequentialIntegrator
@@ -261,12 +261,11 @@ def test_a_control_period_that_is_broken_off_has_not_been(arms, threads, monkeyp
     assert np.array_equal(batch.rows, other.rows)
 
 
-@pytest.mark.parametrize("name", ["dopri5", "generalised_alpha", "implicit_midpoint"])
-def test_a_run_that_was_broken_off_leaves_no_pause_behind(name, monkeypatch):
+def test_a_run_that_was_broken_off_leaves_no_pause_behind(monkeypatch):
     """As by Ctrl-C between two calls of the kernel: the next run begins at its own beginning."""
     model = fm.build_model(scene().arm, 1)
-    simulators = [fm.Simulator(model, name, None if name == "dopri5" else 0.001) for _ in range(2)]
-    run, called = simulators[0].batch._mover._integrators[0], Integrator._call_kernel
+    simulators = [fm.Simulator(model, "dopri5", None) for _ in range(2)]
+    run, called = simulators[0].batch._mover._integrators[0], runge_kutta.run_adaptive
     run._max_evaluations = 30
 
     def broken(*arguments):
@@ -274,10 +273,32 @@ def test_a_run_that_was_broken_off_leaves_no_pause_behind(name, monkeypatch):
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        patch.setattr(Integrator, "_call_kernel", broken)
+        patch.setattr(integrator.runge_kutta, "run_adaptive", broken)
         simulators[0].step([1.0, 0.0])
     assert run.work.progress[0] == 1.0
-    if name == "implicit_midpoint":  # of which only a guess is left
+    for simulator in simulators:
+        simulator.reset()
+        simulator.step([1.0, 0.0])
+    assert np.array_equal(simulators[0].state, simulators[1].state)
+
+
+@pytest.mark.parametrize("name", ["generalised_alpha", "implicit_midpoint"])
+def test_implicit_steps_that_were_broken_off_leave_a_guess_behind(name, monkeypatch):
+    """As by Ctrl-C after some steps: the accelerations of the last step are the first guess of the next one."""
+    model = fm.build_model(scene().arm, 1)
+    simulators = [fm.Simulator(model, name, 0.001) for _ in range(2)]
+    run, called = simulators[0].batch._mover._integrators[0], integrator.batch.run_steps
+    run._max_evaluations = 30
+
+    def broken(*arguments):
+        called(*arguments)
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(integrator.batch, "run_steps", broken)
+        simulators[0].step([1.0, 0.0])
+    assert run.work.stages[1].any() and not simulators[0].state.any()
+    if name == "implicit_midpoint":
         for simulator in simulators:
             simulator.step([1.0, 0.0])
         np.testing.assert_allclose(simulators[0].state, simulators[1].state, rtol=0.0, atol=1e-9)

@@ -39,7 +39,7 @@ class ScipyMethod:
     step_cost = 0.0
 
 
-FixedStepMethod = LinearlyImplicit | IteratedGauss | Explicit | Implicit  # methods of the kernel `batch._fixed_step`
+FixedStepMethod = LinearlyImplicit | IteratedGauss | Explicit | Implicit  # methods of the kernel `batch.fixed_step`
 Method = FixedStepMethod | ScipyMethod
 
 

@@ -6,12 +6,13 @@ and A8 omit trailing zeros.
 """
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from flexman_gym.common.arrays import Array
-from flexman_gym.kernels.layout import Tableau
+from flexman_gym.kernels.layout import Tableau, step_method
 from flexman_gym.simulation.methods.coefficients import (
     EXPLICIT,
     REFERENCE,
@@ -85,7 +86,7 @@ class Explicit:
     error: Array = field(default_factory=no_error_weights)
     semi_implicit: bool = False
     adaptive: bool = False
-    in_lanes = False  # True if several arms share the vector registers of a step
+    first_step = 0
 
     def __post_init__(self) -> None:
         check_stages(self.name, self.a, self.b, self.error)
@@ -95,6 +96,11 @@ class Explicit:
     def kind(self) -> str:
         """Family of the method: "explicit", or "reference" for an adaptive one."""
         return REFERENCE if self.adaptive else EXPLICIT
+
+    @property
+    def in_lanes(self) -> bool:
+        """True if several arms share the vector registers of a step."""
+        return not self.adaptive
 
     @property
     def estimates(self) -> bool:
@@ -135,9 +141,9 @@ class Explicit:
         return Tableau(self.a, self.b, np.zeros((s, s)), abscissae, error, 0.0, exponent, *rest)
 
     @property
-    def kernel_arguments(self) -> tuple[Tableau, tuple[int, float, None]]:
-        """Arguments `tableau` and `counts` of the kernel `batch._fixed_step`."""
-        return self.tableau, (0, 0.0, None)
+    def kernel_arguments(self) -> tuple[Any, ...]:
+        """Argument `method` of the kernels."""
+        return step_method(explicit=self.tableau)
 
     @property
     def step_cost(self) -> float:

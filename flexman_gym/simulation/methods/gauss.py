@@ -1,6 +1,7 @@
 """Gauss collocation of one or two stages, solved by a fixed number of Newton iterations."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,6 +10,7 @@ from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import finite, whole_number
 from flexman_gym.common.errors import value_error
 from flexman_gym.kernels.implicit import DIAGONAL, FROZEN_ITERATIONS, GAUSS_NODE, LOWER, RELAXATION, REMAINDER
+from flexman_gym.kernels.layout import step_method
 from flexman_gym.simulation.methods.coefficients import LINEARLY_IMPLICIT, eigenvalues, matrices
 from flexman_gym.simulation.methods.implicit import midpoint_factors
 
@@ -46,6 +48,7 @@ class IteratedGauss:
     adaptive = False
     estimates = False
     in_lanes = True  # several arms share the vector registers of a step
+    first_step = 0
 
     def __post_init__(self) -> None:
         whole_number(f"{self.name}.iterations", self.iterations, 1, MAX_ITERATIONS)
@@ -66,14 +69,11 @@ class IteratedGauss:
         return self.iterations if self.stages == 1 else 2 * self.iterations + 1
 
     @property
-    def counts(self) -> tuple[int, float | None, None]:
-        """Iterations and correction (None for two stages) in the form of the kernels, see `fixed_newton_step`."""
-        return self.iterations, None if self.stages > 1 else float(self.correction), None
-
-    @property
-    def kernel_arguments(self) -> tuple[None, tuple[int, float | None, None]]:
-        """Arguments `tableau` and `counts` of the kernel `batch._fixed_step`."""
-        return None, self.counts
+    def kernel_arguments(self) -> tuple[Any, ...]:
+        """Argument `method` of the kernels."""
+        if self.stages > 1:
+            return step_method(gauss=self.iterations)
+        return step_method(midpoint=(self.iterations, float(self.correction)))
 
     @property
     def step_cost(self) -> float:

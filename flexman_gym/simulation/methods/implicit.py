@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import finite, positive
 from flexman_gym.common.errors import value_error
-from flexman_gym.kernels.layout import GeneralisedAlpha
+from flexman_gym.kernels.layout import GeneralisedAlpha, step_method
 from flexman_gym.simulation.methods.coefficients import IMPLICIT, eigenvalues, matrices
 
 
@@ -43,6 +43,11 @@ class Implicit:
             raise value_error(f"{self.name}.radius", self.radius, "a number from 0 to 1")
 
     @property
+    def first_step(self) -> int:
+        """Index of the first step of an integration: -1, a step of length zero, for generalised-alpha, else 0."""
+        return 0 if self.radius is None else -1
+
+    @property
     def coefficients(self) -> GeneralisedAlpha:
         """Coefficients in the form of the kernels."""
         if self.radius is None:
@@ -52,9 +57,9 @@ class Implicit:
         return GeneralisedAlpha(mass, force, 0.25 * (gamma + 0.5) ** 2, gamma, False, self.tolerance)
 
     @property
-    def kernel_arguments(self) -> tuple[None, tuple[int, None, GeneralisedAlpha]]:
-        """Arguments `tableau` and `counts` of the kernel `batch._fixed_step`."""
-        return None, (0, None, self.coefficients)
+    def kernel_arguments(self) -> tuple[Any, ...]:
+        """Argument `method` of the kernels."""
+        return step_method(converged=self.coefficients)
 
     def amplification(self, angle: Array) -> NDArray[np.complex128]:
         """Return the factors (..., f) of a step of an undamped vibration, for its phase (...), rad, in a step."""

@@ -6,12 +6,13 @@ Order conditions: Hairer and Wanner, Solving ODEs II, IV.7.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from flexman_gym.common.arrays import Array
-from flexman_gym.kernels.layout import MAX_SEQUENCES, Tableau
+from flexman_gym.kernels.layout import MAX_SEQUENCES, Tableau, step_method
 from flexman_gym.simulation.methods.coefficients import (
     LINEARLY_IMPLICIT,
     check_order,
@@ -56,6 +57,7 @@ class LinearlyImplicit:
     kind = LINEARLY_IMPLICIT
     adaptive = False
     in_lanes = True  # several arms share the vector registers of a step
+    first_step = 0
 
     def __post_init__(self) -> None:
         s, parts = len(self.b), self.sequence
@@ -109,9 +111,9 @@ class LinearlyImplicit:
         return Tableau(self.a @ inverse, self.b @ inverse, c, abscissae, error, *rest)
 
     @property
-    def kernel_arguments(self) -> tuple[Tableau, tuple[int, None, None]]:
-        """Arguments `tableau` and `counts` of the kernel `batch._fixed_step`."""
-        return self.tableau, (0, None, None)
+    def kernel_arguments(self) -> tuple[Any, ...]:
+        """Argument `method` of the kernels."""
+        return step_method(linearly_implicit=self.tableau)
 
     @property
     def step_cost(self) -> float:

@@ -112,8 +112,8 @@ def sensitivities(
             own = constant_derivatives(model, direction) if direction.name in PARAMETERS else found.fields[number]
             integrator.set_derivative(lane, own)
         arms = slice(group * ARMS_PER_GROUP, (group + 1) * ARMS_PER_GROUP)
-        counts = run_in_lanes(integrator, motion.drives[arms], settings, motion.rows[arms], motion.outputs[arms])
-    return motion.read(names, model, settings.interval, int(counts[0, 0]), found.strains)
+        ends = run_in_lanes(integrator, motion.drives[arms], settings, motion.rows[arms], motion.outputs[arms])
+    return motion.read(names, model, settings.interval, int(ends[0, 1]), found.strains)
 
 
 @dataclass

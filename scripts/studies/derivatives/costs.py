@@ -10,7 +10,7 @@ from flexman_gym.common.arrays import Array
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.evaluation.rollouts import TEST_SEEDS
-from flexman_gym.kernels.layout import ARMS_PER_GROUP, OFFSET, OUTPUTS
+from flexman_gym.kernels.layout import ARMS_PER_GROUP, OFFSET, OUTPUTS, StepGrid
 from flexman_gym.scene.signals import signal_table
 from flexman_gym.simulation.batch_integrators import LaneIntegrator
 from flexman_gym.simulation.integrator import Integrator, find_method
@@ -41,17 +41,16 @@ def _timers() -> dict[str, tuple[Timer, str]]:
 
     def plain(rows: int) -> Callable[[], object]:
         integrator, states, outputs = Integrator(model, method, None, ()), *_records(1, rows, size)
-        return lambda: integrator(table, grid, start.copy(), states[0, 1:], outputs[0, 1:])
+        return lambda: integrator(table, grid, start.copy(), states[0], outputs[0])
 
     def lanes(arms: int, rows: int, tangents: bool) -> Callable[[], object]:
         period, (states, outputs) = (setup.control_period, grid[2]), _records(arms, rows, size)
-        tables, counts = np.tile(table, (arms, 1, 1)), np.zeros((arms, 2), dtype=np.int64)
+        tables, begun, status = np.tile(table, (arms, 1, 1)), np.tile(start, (arms, 1)), np.zeros(arms, dtype=np.int64)
         integrator = LaneIntegrator(model.constants, method, period, arms, 1)
-        states[:, 0] = start
         if tangents:
             integrator = TangentIntegrator(model.constants, method, period, arms // ARMS_PER_GROUP)
-            states[1:, 0], tables[1:] = np.eye(arms - 1, size + 2), np.zeros_like(table)
-        return lambda: integrator.run(tables, states, outputs, counts, grid)
+            begun[1:], tables[1:] = np.eye(arms - 1, size + 2), np.zeros_like(table)
+        return lambda: integrator.run(tables, StepGrid(*grid), rows, (begun.copy(), states, outputs), status)
 
     directions = np.eye(size + n, size + 2), np.eye(size + n, n + 6, -size)
     mapped = PeriodMap(model, method, (setup.control_period, grid[2]), [{}] * (size + n))
@@ -66,8 +65,8 @@ def _timers() -> dict[str, tuple[Timer, str]]:
 
 
 def _records(arms: int, rows: int, size: int) -> tuple[Array, Array]:
-    """Return empty records of states with energy ledgers, and of outputs, of a number of rows after the first."""
-    return np.zeros((arms, rows + 1, size + 2)), np.zeros((arms, rows + 1, OUTPUTS))
+    """Return empty records of states with energy ledgers, and of outputs, of a number of rows."""
+    return np.zeros((arms, rows, size + 2)), np.zeros((arms, rows, OUTPUTS))
 
 
 def _episode_timers() -> dict[str, tuple[Timer, str]]:
