@@ -22,6 +22,7 @@ from flexman_gym.envs.config.arm_settings import arm_facts
 from flexman_gym.envs.config.conditions import usual_payload
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
+from flexman_gym.evaluation.agent_spec import INTERFACE
 
 ACTIONS_PER_SLEW = 16  # actions of the agent in the median slew of an arm of the user
 SLEWS_PER_EPISODE = 4  # median slews of an arm of the user in an episode of its training
@@ -207,17 +208,20 @@ class Settings:
         the named environment. Control period, horizon, limits, slew time and gains follow from the arm.
 
         Args:
-            arm: as the setting `arm` of an environment.
+            arm: as the setting `arm` of an environment, or the path of a file of an environment. The settings of such a
+                file take precedence over those of the recipe, apart from those of the agent in INTERFACE.
             changes: changes "name=value" of settings of the environment, which take precedence.
         """
-        named = self.environment
+        named, given = self.environment, {"arm": arm}
         kept = named.without(("arm", "gains", "horizon", "control_period", "limits", "slew_time"))
-        own = kept.replace(arm=arm).changed(changes)
+        if of_file := Configuration.of_file(arm):
+            given = {name: each for name, each in of_file.given.items() if name not in (*INTERFACE, "gains")}
+        own = Configuration(of_file.id if of_file else named.id, kept.given | given).changed(changes)
         scaled: dict[str, Any] = {"action_repeat": max(1, round(action_time(own) / own.control_period))}
         if isinstance(own.history, tuple):
             scale = action_time(own) / action_time(named)
             scaled["history"] = [float(f"{scale * each:.3g}") for each in own.history]
-        if "payload_mass" in own.randomised_ranges:
+        if "payload_mass" in own.randomised_ranges and "randomisation" not in given:
             scaled["randomisation"] = own.randomised_ranges | {"payload_mass": _payload_range(named, own)}
         environment = own.replace(**scaled).changed(changes)
         if self.algo == "dagger":

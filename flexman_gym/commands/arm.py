@@ -1,7 +1,7 @@
 """Describe an arm of one's own: its settings, and what cannot work.
 
-FILE is an arm file (.yaml, .json), a URDF, or the name of an arm of the catalog. With --try, controllers without
-training play 20 episodes each, and one of them is recommended.
+FILE is an arm file (.yaml, .json), a file of an environment, a URDF, or the name of an arm of the catalog. With --try,
+controllers without training play 20 episodes each, and one of them is recommended.
 """
 
 import argparse
@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from flexman_gym.commands import CommandLine, add_options, output_file
+from flexman_gym.common.errors import value_error
 
 if TYPE_CHECKING:
     from flexman_gym.envs.config.configuration import Configuration
@@ -20,7 +21,9 @@ HEADS = f"{'controller':<14}{'payload, stiffness':<20}{'settled':>10}{'s':>8}{'C
 
 def _arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command-line arguments."""
-    parser.add_argument("arm", metavar="FILE", help="arm file, URDF, or name of an arm of the catalog")
+    parser.add_argument(
+        "arm", metavar="FILE", help="arm file, environment file, URDF, or name of an arm of the catalog"
+    )
     add_options(parser, "--env", "--set", env={"help": "environment in which the arm moves (default: FlexRRR-v0)"})
     parser.add_argument("--try", dest="play", action="store_true", help="play 20 episodes of each controller")
     parser.add_argument(
@@ -34,7 +37,10 @@ def _run(options: argparse.Namespace) -> int:
     from flexman_gym.envs.config.configuration import Configuration
     from flexman_gym.envs.config.named_environments import DEFAULT_ID
 
-    found = describe(options.arm, Configuration.find(options.env or DEFAULT_ID, options.set))
+    own = Configuration.of_file(options.arm, options.set)
+    if own and options.env:
+        raise value_error("--env", options.env, f"none: {options.arm} is the file of an environment")
+    found = describe(own.arm if own else options.arm, own or Configuration.find(options.env or DEFAULT_ID, options.set))
     print(found)
     chosen = _play(found.configuration) if options.play else None
     if options.save:

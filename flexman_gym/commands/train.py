@@ -31,7 +31,9 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
     algorithms = f"{', '.join(ALGORITHMS)} (default: that of the recipe, or ppo)"
     parser.add_argument("--algo", choices=ALGORITHMS, metavar="NAME", help=algorithms)
     add_options(parser, "--env", "--set", env={"help": "environment (flexman list environments) or file"})
-    parser.add_argument("--arm", metavar="FILE", help="arm (file, URDF or name) to which the recipe scales")
+    parser.add_argument(
+        "--arm", metavar="FILE", help="arm (file, URDF or name) or environment file to which the recipe scales"
+    )
     parser.add_argument("--keep-worse", action="store_true", help="keep a policy that settles less than its base")
     parser.add_argument("--steps", type=int, metavar="N", help="environment steps, summed over all arms")
     parser.add_argument("--seed", type=int, metavar="N", help="seed of the first run")
@@ -105,6 +107,17 @@ def _warn_of_missing_settings(recipe: Mapping[str, Any], own: Mapping[str, Any],
         print(f"{env} lacks settings of the recipe: {', '.join(missing)}", file=sys.stderr)
 
 
+def _warn_of_replaced_settings(arm: str, chosen: Mapping[str, Any]) -> None:
+    """Warn of settings of the agent in the file of an environment in whose place are those of the recipe."""
+    from flexman_gym.envs.config.configuration import Configuration
+    from flexman_gym.evaluation.agent_spec import INTERFACE
+
+    found = Configuration.of_file(arm)
+    replaced = [name for name in INTERFACE if found and found.given.get(name, chosen.get(name)) != chosen.get(name)]
+    if replaced:
+        print(f"{arm}: the recipe replaces {', '.join(replaced)}; --set NAME=VALUE keeps a value", file=sys.stderr)
+
+
 def _training_options(options: argparse.Namespace) -> dict[str, Any]:
     """Return the options common to new and resumed runs."""
     return {"checkpoint_every": options.checkpoint_every, "progress": not options.quiet, "device": options.device}
@@ -127,6 +140,7 @@ def _make_settings(options: argparse.Namespace) -> "Settings":
         settings = replace(settings, environment=Configuration.find(options.env))
     if arm := getattr(options, "arm", None):
         settings = settings.for_arm(arm, options.set)
+        _warn_of_replaced_settings(arm, settings.environment.given)
     else:
         settings = replace(settings, environment=settings.environment.changed(options.set))
     if options.env and options.recipe:

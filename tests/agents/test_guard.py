@@ -4,12 +4,14 @@ from dataclasses import replace
 
 import pytest
 
+import flexman_gym as fm
 from flexman_agents import guard as module
 from flexman_agents.guard import guard
 from flexman_agents.sb3 import make_model
 from flexman_agents.settings import ACTIONS_PER_SLEW, Settings, action_time, find_recipe
 from flexman_agents.training import resume, train
 from flexman_gym.common.run_folder import RESULT
+from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation.agents import find_agent
 
 from oracles.assertions import refusal
@@ -110,6 +112,16 @@ def test_given_settings_of_a_recipe_for_an_arm_stay_and_the_others_follow_from_t
     assert (own.horizon, own.action_repeat, own.history) == (3.0, 7, (0.5, 2.0))
     assert own.randomised_ranges == recipe.environment.randomised_ranges | {"payload_mass": [0.0, 1.5]}
     assert own.derived.keys() == {"control_period", "limits", "slew_time"}
+
+
+def test_settings_of_the_file_of_an_environment_precede_those_of_a_recipe_but_for_the_agent(tmp_path):
+    recipe, path = find_recipe("lab_student"), str(tmp_path / "own.yaml")
+    given = {"control_period": 0.004, "sensors": "full", "base": "pd-torque", "randomisation": {"delay": (0, 1)}}
+    Configuration("FlexPlanar-v0", {"arm": fm.catalog.vertical_2r(), "torque_limit": 20.0, **given}).save(path)
+    own = recipe.for_arm(path).environment
+    assert (own.id, own.control_period, own.torque_limit) == ("FlexPlanar-v0", 0.004, (20.0, 20.0))
+    assert own.randomised_ranges == {"delay": [0, 1]}
+    assert (own.base, own.sensors) == (recipe.environment.base, recipe.environment.sensors)
 
 
 def test_times_and_payloads_of_a_laboratory_recipe_scale_with_the_arm():

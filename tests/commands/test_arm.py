@@ -33,6 +33,22 @@ def test_a_urdf_is_an_arm_by_its_path_and_by_a_mapping():
     assert own.arm == arm and Configuration.from_plain(own.to_plain()) == own
 
 
+def test_the_file_of_an_environment_is_described_with_its_settings(tmp_path, capsys):
+    path = str(tmp_path / "own.yaml")
+    Configuration("FlexOne-v0", {"arm": FOUR_LINKS, "control_period": 0.004, "sensors": "lab"}).save(path)
+    assert main(["arm", path]) == 0
+    assert "control_period               0.004 s" in capsys.readouterr().out.splitlines()
+    assert fm.describe(path, horizon=3.0).configuration == Configuration.load(path).replace(horizon=3.0)
+    assert main(["arm", path, "--env", "FlexRRR-v0"]) == 2
+    assert f"none: {path} is the file of an environment" in capsys.readouterr().err
+
+
+def test_a_stored_environment_without_gains_has_the_designed_ones(tmp_path):
+    own = Configuration("FlexRRR-v0", {"arm": FOUR_LINKS})
+    own.save(tmp_path / "own.yaml")
+    assert Configuration.load(tmp_path / "own.yaml").pd_gains == own.pd_gains
+
+
 @pytest.mark.slow
 def test_a_trial_prints_a_row_for_each_controller_and_saves_the_recommended_one(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(arm_trial, "EPISODES", 2)

@@ -47,8 +47,9 @@ def describe(arm: Any, environment: str | Configuration = DEFAULT_ID, **settings
     """Describe an arm: frequencies, holding torques, slews, settings that follow from them, and what cannot work.
 
     Args:
-        arm: as the setting `arm` of an environment: an Arm, a name, or the path of a file.
-        environment: environment in which it moves.
+        arm: as the setting `arm` of an environment: an Arm, a name, or the path of a file. A file of an environment is
+            described with its settings.
+        environment: environment in which it moves, unless the file names it.
         **settings: further settings of the environment, such as control_period (s).
 
     Raises:
@@ -58,7 +59,8 @@ def describe(arm: Any, environment: str | Configuration = DEFAULT_ID, **settings
         >>> print(fm.describe(fm.catalog.planar_2r(), torque_limit=20.0).lines[1])
         frequencies, motors held     2.47, 15.5, 32.9, 43.6 Hz
     """
-    configuration = Configuration.find(environment).replace(arm=arm, **settings)
+    configuration = Configuration.of_file(arm) or Configuration.find(environment).replace(arm=arm)
+    configuration = configuration.replace(**settings)
     facts = arm_facts(configuration.arm, configuration.torque_limit, configuration.slew_span)
     rows = [("arm", _summary(configuration, facts)), *_fact_rows(configuration, facts)]
     gains, warnings = _gains(configuration)

@@ -231,6 +231,20 @@ class Configuration(EnvironmentSettings):
             raise unknown_name("environment", name, sorted(NAMED_ENVIRONMENTS), "the path of a file", near)
         return cls.load(name, changes)
 
+    @classmethod
+    def of_file(cls, arm: object, changes: Sequence[str] = ()) -> Self | None:
+        """Return the configuration of the file of an environment; None for an arm in any other form.
+
+        Args:
+            arm: as the setting `arm`, or the path of a file of an environment, which has the key "id".
+            changes: changes "name=value" of settings, see `changed`.
+        """
+        if not (isinstance(arm, str | Path) and str(arm).endswith(SUFFIXES)):
+            return None
+        with files.naming(arm):
+            data = files.read_data(Path(arm))
+        return cls.load(arm, changes) if "id" in data else None
+
     @property
     def given(self) -> dict[str, Any]:
         """Copy of the settings given to the constructor; a condition is replaced by the settings it changes."""
@@ -380,9 +394,6 @@ class Configuration(EnvironmentSettings):
         """
         named, gains = NAMED_ENVIRONMENTS[self.id], self.gains
         if gains is None and not self.has_named_motors:
-            if self._given.get("settings") == "named":
-                allowed = f"those of this arm, which flexman optimise gains finds: {self.id} has other links or motors"
-                raise value_error("gains", None, allowed)
             designed: Gains = load_entry("flexman_gym.toolbox.controllers.pd_design:design_pd")(self)
             return designed
         if gains is None:
