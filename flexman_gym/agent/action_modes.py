@@ -156,7 +156,7 @@ def _make_motor_input(quantity: str, plant: Plant, base: Controller | None) -> T
     """
     motors, voltage = [joint.motor for joint in plant.model.arm.joints], quantity == "voltage"
     given = [motor if motor and (motor.resistance is not None) == voltage else None for motor in motors]
-    limits = [motor.joint_torque_limit if motor else None for motor in given]
+    limits = [(motor.stall_torque if voltage else motor.joint_torque_limit) if motor else None for motor in given]
     if None in limits:
         needed = "resistance and voltage_limit" if voltage else "current_limit, without resistance,"
         raise value_error(

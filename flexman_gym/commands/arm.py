@@ -80,7 +80,7 @@ def _save(environment: "Configuration", chosen: "Trial | None", path: Path) -> N
         environment = environment.replace(gains=environment.pd_gains)
     environment.save(path)
     print(
-        f"{path}: flexman evaluate {environment.base or 'pd'} --env {path}; flexman train ppo_on_pd_minute --env {path}"
+        f"{path}: flexman evaluate {environment.base or 'pd'} --env {path}; flexman train ppo_on_pd_minute --arm {path}"
     )
 
 

@@ -66,6 +66,7 @@ def _run(options: argparse.Namespace) -> int:
     """Train or resume; return the exit status."""
     from flexman_agents.callbacks import Interrupted
     from flexman_agents.guard import guard
+    from flexman_agents.settings import Settings
     from flexman_agents.training import resume
 
     try:
@@ -87,7 +88,9 @@ def _run(options: argparse.Namespace) -> int:
         if report := guard(each, options.keep_worse):
             print(report if len(folders) == 1 else f"{each}: {report}")
     if len(folders) == 1:
-        print(f"The run is in {folders[0]}; to evaluate it: flexman evaluate {folders[0]} pd")
+        base = Settings.load(folders[0]).environment.base
+        other = base if isinstance(base, str) else "pd"
+        print(f"The run is in {folders[0]}; to evaluate it: flexman evaluate {folders[0]} {other}")
     return 0
 
 

@@ -35,6 +35,7 @@ class View:
         n_joints: number of joints n.
         reach: sum of the lengths of the links, m.
         lengths: (n,) lengths of the links, m.
+        gear_ratios: (n,) turns of the motor shaft per turn of the joint; 1 for a joint without a `Motor`.
         has_gravity: True for an arm under gravity.
         gauge_radii: (n, 3) distances of the gauges of `root_strains` from the axis of the link, m.
         control_period: time between two commands, s.
@@ -92,6 +93,7 @@ class View:
         self._springs: tuple[Array, Array, Array] | None = None  # see `Batch.spring_constants`
         self.n_joints, self.control_period, self.slew_time = model.n_joints, batch.control_period, slew_time
         self.lengths, self.reach = constants.length, float(constants.length.sum())
+        self.gear_ratios = np.array([each.motor.gear_ratio if each.motor else 1.0 for each in model.arm.joints])
         self.has_gravity = bool(constants.gravity.any())
         self.gauge_radii = gauge_radii(model)
         self._measurements = LinearMeasurements(model)

@@ -9,7 +9,7 @@ from flexman_gym.agent.controller import Controller, EpisodeInfo, Readings
 from flexman_gym.common.arrays import Array, BoolArray, IntArray
 from flexman_gym.common.errors import value_error
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.evaluation.agent_spec import INTERFACE, SIMPLE_AGENTS, AgentSpec, split_interface
+from flexman_gym.evaluation.agent_spec import INTERFACE, SIMPLE_AGENTS, AgentSpec
 
 
 def find_agent(agent: object) -> AgentSpec:
@@ -55,7 +55,7 @@ def is_baseline(name: str) -> bool:
 def common_environment(
     agents: Sequence[AgentSpec], named: Configuration | None = None, changes: Sequence[str] = ()
 ) -> Configuration:
-    """Return the environment in which agents are compared, without the settings in INTERFACE.
+    """Return the environment in which agents are compared, without the settings in INTERFACE but the sensors.
 
     The baseline "pd" has the gains of the first agent whose training had a PD controller.
 
@@ -68,7 +68,12 @@ def common_environment(
         ValueError: if no environment is named and the agents were trained in different environments, and for a change
             of a setting in INTERFACE.
     """
-    return _change(split_interface(named)[0] if named is not None else _training_environment(agents), changes)
+    return _change(_without_agent(named) if named is not None else _training_environment(agents), changes)
+
+
+def _without_agent(environment: Configuration) -> Configuration:
+    """Return an environment without the settings in INTERFACE but the sensors, with whose errors controllers read."""
+    return environment.without([name for name in INTERFACE if name != "sensors"])
 
 
 def _training_environment(agents: Sequence[AgentSpec]) -> Configuration:
@@ -89,7 +94,7 @@ def _change(environment: Configuration, changes: Sequence[str]) -> Configuration
         if name in INTERFACE:
             allowed = f"a setting of the environment: {', '.join(INTERFACE)} belong to the agent"
             raise value_error("--set", change, allowed)
-    return split_interface(environment.changed(changes))[0]
+    return _without_agent(environment.changed(changes))
 
 
 class _RandomTorques:

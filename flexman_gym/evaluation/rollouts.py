@@ -18,6 +18,7 @@ from flexman_gym.common.errors import value_error
 from flexman_gym.common.progress import Progress
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.episodes import Episodes
+from flexman_gym.envs.sensors.instrument import Instrument
 from flexman_gym.evaluation.agent_spec import AgentSpec, split_interface
 from flexman_gym.evaluation.agents import find_agent
 from flexman_gym.metrics import BAND, damping_ratio
@@ -258,9 +259,9 @@ class RolloutLoop:
         options: dict[str, Any] | None = None,
     ) -> None:
         spec, environment = find_agent(agent), Configuration.find(environment)
-        seeds, (bare, interface) = _episode_seeds(seeds), split_interface(environment)
+        seeds = _episode_seeds(seeds)
         _check_joint_count(spec, environment)
-        keywords = _keywords(spec, bare, interface)
+        keywords = _keywords(spec, environment)
         venv: Any = gym.make_vec(environment.id, len(seeds), "vector_entry_point", **keywords)
         self._venv = venv
         self.episodes, self._seeds = venv.unwrapped.episodes, [int(seed) for seed in seeds]
@@ -296,12 +297,16 @@ class RolloutLoop:
         return self._recorder.rollout(self._metadata)
 
 
-def _keywords(agent: AgentSpec, bare: Configuration, interface: dict[str, Any]) -> dict[str, Any]:
-    """Return the keyword arguments of `gym.make_vec` for an agent in an environment without settings in INTERFACE.
+def _keywords(agent: AgentSpec, environment: Configuration) -> dict[str, Any]:
+    """Return the keyword arguments of `gym.make_vec` for an agent with its settings in place of those in INTERFACE.
 
-    The objects of the agent are copied. `interface` has the settings of the agent if its specification has none.
+    The objects of the agent are copied. An agent without these settings has those of the environment. A controller
+    without a policy reads with the errors of the instruments of the environment.
     """
+    bare, interface = split_interface(environment)
     keywords = bare.keywords() | deepcopy(interface if agent.interface is None else agent.interface)
+    if agent.law is None and any(isinstance(each, Instrument) and each.settings() for each in environment.sensors):
+        keywords.setdefault("sensors", environment.sensors)
     if agent.environment is not None:
         keywords["task"] = _ObservedTask(bare.task, agent.environment.task.sensors)
     return keywords

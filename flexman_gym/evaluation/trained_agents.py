@@ -1,11 +1,13 @@
 """Trained agents: shipped and exported policies, and training runs, read without executing code of their files."""
 
 import os
+import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
+import numpy as np
 
 from flexman_gym.agent.network import Network
 from flexman_gym.common.errors import unknown_name, value_error
@@ -86,9 +88,21 @@ def _load_run(folder: Path) -> AgentSpec:
     path = folder / BEST if (folder / BEST).is_file() else existing_file(folder / NEWEST)
     data = read_npz(path)
     check_settings(path, data, settings)
+    done = _steps_of(data)
+    if path.name == NEWEST and done < settings.get("steps", 0):
+        print(
+            f"{folder}: {done} of {settings['steps']} steps; flexman train --resume --folder {folder}", file=sys.stderr
+        )
     with naming(path):
         network = Network(algo, activation, data.get("policy"), data.get("statistics"))
     return AgentSpec.from_network(folder.name, network, environment, base_in_use)
+
+
+def _steps_of(data: Any) -> float:
+    """Return the environment steps of a stored state of a training; infinite for data without them."""
+    for name in ("training", "counts", "num_timesteps"):
+        data = data.get(name) if isinstance(data, dict) else None
+    return data if isinstance(data, int) else np.inf
 
 
 def check_settings(path: Path, data: Any, settings: Mapping[str, Any]) -> None:

@@ -30,7 +30,8 @@ class Motor:
         gear_ratio: turns of the motor shaft per turn of the joint, 1; 1 without a gear.
         torque_constant: torque at the motor shaft per current, N m/A.
         rotor_inertia: moment of inertia of the rotor and the parts fixed to the motor shaft, kg m^2; may be 0.
-        current_limit: largest current, A; None if unknown.
+        current_limit: largest current, A; None if unknown. With a resistance it limits the current at standstill; a
+            turning shaft draws less by its back-EMF, or more while it brakes.
         speed_limit: largest speed of the motor shaft, rad/s; None if unknown.
         efficiency: output torque of the gear / ideal output torque, 1; greater than 0 and at most 1.
         encoder_resolution: angle of the motor shaft per count of the encoder, rad; None without an encoder.
@@ -121,13 +122,16 @@ class Motor:
 
     @property
     def joint_torque_limit(self) -> float | None:
-        """Largest torque at the joint, N m: by the current limit, with a resistance by the voltage limit at standstill.
+        """Largest torque at the joint, N m: the lower one of current limit and `stall_torque`; None without both."""
+        by_current = None if self.current_limit is None else self.torque_per_ampere * self.current_limit
+        return min((each for each in (by_current, self.stall_torque) if each is not None), default=None)
 
-        None without this limit.
-        """
-        if self.torque_per_volt is not None:
-            return None if self.voltage_limit is None else self.torque_per_volt * self.voltage_limit
-        return None if self.current_limit is None else self.torque_per_ampere * self.current_limit
+    @property
+    def stall_torque(self) -> float | None:
+        """Joint torque at standstill at the voltage limit, N m; None without a resistance or a voltage limit."""
+        if self.torque_per_volt is None or self.voltage_limit is None:
+            return None
+        return self.torque_per_volt * self.voltage_limit
 
     @property
     def joint_speed_limit(self) -> float | None:

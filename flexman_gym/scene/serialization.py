@@ -194,8 +194,8 @@ def find_arm(value: object, folder: Path = Path()) -> Arm:
     Args:
         value: an Arm; the name of an arm in the catalog; a mapping with this name under the key "catalog" and with
             options of the arm; the path of a file with an arm or a scene, or of a URDF whose joints off the chain are
-            held at rest; a mapping with the path of a URDF at "urdf" and arguments of `Arm.from_urdf`; or a mapping as
-            in an arm file.
+            held at rest; a mapping with the path of a URDF at "urdf" and arguments of `Arm.from_urdf`, or a file with
+            such a mapping; or a mapping as in an arm file.
         folder: folder to which the path is relative.
 
     Raises:
@@ -211,7 +211,9 @@ def find_arm(value: object, folder: Path = Path()) -> Arm:
             data = files.read_data(folder / value)
         except ValueError as error:
             raise ValueError(f"{short_path(value)}: {error}") from None
-        return _arm_from_plain(data if "links" in data else data.get("arm", data))
+        whole = data if {"links", "urdf"} & data.keys() else data.get("arm", data)
+        place = (folder / value).parent
+        return _arm_from_urdf(whole, place) if isinstance(whole, dict) and "urdf" in whole else _arm_from_plain(whole)
     if isinstance(value, str) and value.endswith(URDF):
         return Arm.from_urdf(folder / value, held="rest")
     if isinstance(value, dict) and "urdf" in value:

@@ -208,5 +208,5 @@ def _parameters_from_constants(model: Model, constants: Mapping[str, Any]) -> di
     first = nominal.square_start[:-1]
     flexible = np.diff(nominal.elastic_start) > 0
     factors = np.ones(model.n_joints)
-    factors[flexible] = (constants["stiffness"][first] / nominal.stiffness[first])[flexible]
+    factors[flexible] = constants["stiffness"][first[flexible]] / nominal.stiffness[first[flexible]]
     return result | {"link_stiffness_factor": factors}

@@ -5,6 +5,7 @@ import pytest
 
 import flexman_gym as fm
 from flexman_gym.__main__ import main
+from flexman_gym.common import files
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.scene.serialization import find_arm
 from flexman_gym.toolbox.league import arm_trial
@@ -47,6 +48,14 @@ def test_a_stored_environment_without_gains_has_the_designed_ones(tmp_path):
     own = Configuration("FlexRRR-v0", {"arm": FOUR_LINKS})
     own.save(tmp_path / "own.yaml")
     assert Configuration.load(tmp_path / "own.yaml").pd_gains == own.pd_gains
+
+
+def test_a_file_with_a_urdf_and_its_arguments_is_an_arm(tmp_path):
+    (tmp_path / "two_links.urdf").write_text((ROOT / "docs" / "examples" / "two_links.urdf").read_text())
+    files.write_data(tmp_path / "arm.yaml", {"urdf": "two_links.urdf"})
+    files.write_data(tmp_path / "scene.yaml", {"arm": {"urdf": "two_links.urdf"}})
+    for name in ("arm.yaml", "scene.yaml"):
+        assert find_arm(name, tmp_path) == fm.Arm.from_urdf(URDF, held="rest")
 
 
 @pytest.mark.slow

@@ -4,7 +4,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-import flexman_gym  # noqa: F401  registers the environments
+import flexman_gym as fm
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.plant import make_plant
 from flexman_gym.envs.sensors.flaws import Flaws
@@ -30,6 +30,20 @@ def test_an_encoder_has_its_counts_in_a_turn():
     step = 2.0 * np.pi / 4096
     angles = found[:, :2]
     assert np.abs(angles / step - np.round(angles / step)).max() < 1e-3 and np.abs(angles - true).max() < 0.51 * step
+
+
+def test_counts_of_a_geared_motor_are_those_of_a_turn_of_its_shaft():
+    motor = fm.Motor(50.0, 0.04, 1e-5, current_limit=3.0)
+    arm = fm.Arm([fm.Link.rod(0.5, 0.02)], [fm.Joint((0, 0, 1), stiffness=60.0, motor=motor)])
+    sensors = [{"kind": kind, "quantisation": "1000 counts"} for kind in ("motor_encoders", "joint_encoders")]
+    configuration = Configuration("FlexOne-v0", {"arm": arm, "sensors": sensors})
+    errors = make_plant(configuration, build_model(arm, 1)).measured()
+    step = 2.0 * np.pi / 1000
+    assert errors["motor_angles"][1] == pytest.approx(step / 50.0 / np.sqrt(12.0))
+    assert errors["joint_twists"][1] == pytest.approx(step / np.sqrt(12.0))
+    env = gym.make("FlexOne-v0", arm=arm, sensors=sensors)
+    angles = [env.reset(seed=seed)[0][0].astype(float) * env.unwrapped.episodes.sensors.bound[0] for seed in range(5)]
+    assert np.abs(np.array(angles) / (step / 50.0) % 1.0 - 0.5).min() > 0.4
 
 
 def test_noise_has_the_deviation_of_the_data_sheet():

@@ -8,6 +8,7 @@ import flexman_gym as fm
 from flexman_gym.agent.pd import PD
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation.agent_spec import AgentSpec
+from flexman_gym.evaluation.agents import common_environment, find_agent
 from flexman_gym.evaluation.metrics import METRICS
 from flexman_gym.evaluation.rollouts import TEST_SEEDS, rollout
 from flexman_gym.metrics import BAND
@@ -121,6 +122,24 @@ def test_a_failed_episode_is_counted_to_its_last_period():
 
 
 @pytest.mark.feature
+def test_a_controller_reads_with_the_errors_of_the_instruments_of_an_environment():
+    """As in an environment with this base; instruments without errors change nothing, to the bit."""
+    settings = {"horizon": 0.4, "elements": 1, "modes": 1}
+    made = {name: Configuration("FlexPlanar-v0", {**settings, "sensors": sensors}) for name, sensors in {
+        "full": "full", "lab": "lab", "coarse": [{"kind": "motor_encoders", "quantisation": "200 counts"}],
+    }.items()}  # fmt: skip
+    errors = {name: rollout("pd", each, [3]).records[0].errors for name, each in made.items()}
+    assert np.array_equal(errors["full"], errors["lab"]) and not np.array_equal(errors["full"], errors["coarse"])
+    env = gym.make("FlexPlanar-v0", base="pd", **made["coarse"].keywords())
+    info = env.reset(seed=3)[1]
+    own = [info["tip_error"]]
+    while len(own) < len(errors["coarse"]):
+        own.append(env.step(np.zeros(2))[-1]["tip_error"])
+    assert own == errors["coarse"].tolist()
+    named = common_environment([find_agent("pd")], made["coarse"])
+    assert np.array_equal(rollout("pd", named, [3]).records[0].errors, errors["coarse"])
+
+
 def test_the_band_is_a_part_of_the_reach():
     """Of two links of half a metre: an episode settles in the band that the head of the table names, in mm."""
     environment = Configuration("FlexPlanar-v0", {"horizon": 3.0})

@@ -66,6 +66,25 @@ def test_voltage_actions_are_fractions_of_the_voltage_limit():
     assert simulator.state[simulator.model.n_dof] == pytest.approx(exact, rel=1e-2)
 
 
+def test_the_torque_limit_is_the_lower_one_of_current_and_voltage():
+    stall, ampere = MOTOR.torque_per_volt * 10.0, MOTOR.torque_per_ampere
+    for current, expected in ((1.0, min(stall, ampere)), (1e3, stall)):
+        assert replace(MOTOR, current_limit=current).joint_torque_limit == pytest.approx(expected)
+    assert ampere < stall == MOTOR.stall_torque
+    assert replace(MOTOR, voltage_limit=None, current_limit=1.0).joint_torque_limit == ampere
+
+
+def test_voltage_actions_saturate_at_the_torque_of_the_current_limit():
+    limited = replace(MOTOR, current_limit=1.0)
+    env = gym.make("FlexOne-v0", arm=fm.Arm([BAR], [fm.Joint(Z, motor=limited)]), actions="voltage",
+                   info_keys=["action"])  # fmt: skip
+    env.reset(seed=0)
+    for fraction in (0.1, 1.0):
+        info = env.step(np.array([fraction]))[-1]
+        torque = min(fraction * limited.stall_torque, limited.joint_torque_limit)
+        assert info["action"][0] * limited.joint_torque_limit == pytest.approx(torque, rel=1e-6)
+
+
 def test_actions_of_another_input_are_refused():
     current = replace(MOTOR, resistance=None, back_emf_constant=None, voltage_limit=None, current_limit=1.0)
     for motor, actions in ((MOTOR, "current"), (current, "voltage")):

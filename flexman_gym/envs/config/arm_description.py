@@ -90,7 +90,7 @@ def _fact_rows(configuration: Configuration, facts: ArmFacts) -> Iterator[tuple[
         place = f", at {np.round(posture, 2).tolist()} rad" if share > 0.005 else ""
         yield f"joint {i + 1} holds", f"{share:.0%} of its torque limit, {limit:.4g} N m{place}"
     speeds = ", ".join("none" if each is None else f"{each:.3g}" for each in motor_speeds(configuration.arm))
-    yield "speed limits of the motors", f"{speeds} rad/s"
+    yield "speed limits of the motors", f"{speeds} rad/s, for planned motions only"
     middle, longest = np.median(facts.durations), facts.durations.max()
     yield "slews", f"median {middle:.3g} s, longest {longest:.3g} s, peak rate {facts.rate:.3g} rad/s"
 

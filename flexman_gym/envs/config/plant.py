@@ -10,7 +10,7 @@ from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.envs.config.randomisation import Randomisation
 from flexman_gym.envs.sensors.instrument import Instrument
-from flexman_gym.envs.sensors.sensor import column_units, measurement_ranges
+from flexman_gym.envs.sensors.sensor import column_units, encoder_turns, measurement_ranges
 from flexman_gym.envs.sensors.sensor_array import measured_names
 from flexman_gym.envs.view import View
 from flexman_gym.model.model import Model
@@ -63,7 +63,7 @@ def _measurement_errors(configuration: Configuration, model: Model) -> dict[str,
     for sensor in configuration.sensors:
         if isinstance(sensor, Instrument):
             for name in measured_names([sensor]):
-                place = column_units(view, name), ranges[name]
+                place = column_units(view, name), ranges[name], encoder_turns(view, name)
                 own, steps, largest = (
                     sensor.flaws.fraction(each, *place) for each in ("noise", "quantisation", "bias")
                 )

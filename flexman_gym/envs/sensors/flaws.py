@@ -27,7 +27,8 @@ class Flaws:
 
     Noise, bias and quantisation are fractions of the measurement range of each quantity, or texts with a unit as in a
     data sheet, such as "0.2 mrad", "2 microstrain", "0.01 m/s^2" or, for the quantisation of an encoder, "4096 counts"
-    in a turn of the joint. An amount with a unit concerns the measured quantities with this unit.
+    in a turn of its shaft, for motor angles that of the motor in front of the gear. An amount with a unit concerns the
+    measured quantities with this unit.
 
     Attributes:
         noise: standard deviation of the normal noise on each sample; truncated at 4 standard deviations.
@@ -64,19 +65,22 @@ class Flaws:
         if self.dropped >= 1.0:
             raise value_error("sensors.dropped", self.dropped, "a probability from 0 to below 1")
 
-    def fraction(self, name: str, units: Sequence[str], ranges: Array) -> Any:
+    def fraction(self, name: str, units: Sequence[str], ranges: Array, turns: Any = 1.0) -> Any:
         """Return noise, bias or quantisation as fractions of measurement ranges: a number, or an array (size,).
 
         Args:
             name: "noise", "bias" or "quantisation".
             units: (size,) units of the measured quantities.
             ranges: (size,) ends of their ranges, in these units.
+            turns: (size,) turns of the shaft of the encoder per turn of a measured angle.
         """
         value: Any = getattr(self, name)
         if not isinstance(value, str):
             return value
         size, unit = _amount(name, value)
         same = [each == unit or (unit in STRAIN_UNITS and each in STRAIN_UNITS) for each in units]
+        if _in_counts(name, value):
+            size = size / turns
         return np.where(same, size / ranges, 0.0)
 
     def check_units(self, units: Sequence[str]) -> None:
@@ -93,6 +97,12 @@ FLAWS = tuple(each.name for each in fields(Flaws))
 """Names of the flaws of a sensor, see `Flaws`."""
 
 
+def _in_counts(name: str, value: str) -> bool:
+    """Return True for a quantisation in counts of an encoder."""
+    found = AMOUNT.match(value)
+    return name == "quantisation" and found is not None and found[2] in COUNTS
+
+
 def _amount(name: str, value: str) -> tuple[float, str]:
     """Return an amount in SI units, and its unit."""
     found = AMOUNT.match(value)
@@ -101,7 +111,7 @@ def _amount(name: str, value: str) -> tuple[float, str]:
         allowed += ' or "4096 counts"'
     if not found or not 0.0 < float(found[1]) < math.inf:
         raise value_error(f"sensors.{name}", value, allowed)
-    if name == "quantisation" and found[2] in COUNTS:
+    if _in_counts(name, value):
         return 2.0 * math.pi / float(found[1]), "rad"
     unit = find_unit(found[2])
     if unit is None:

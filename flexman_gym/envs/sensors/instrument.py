@@ -55,7 +55,8 @@ class Instrument:
         self.measured = MeasuredView(view, limits, self.measures)
         size, units, bound = len(self.measured.bound), self.measured.value_units, self.measured.bound
         flaws.check_units(units)
-        self._errors = {name: flaws.fraction(name, units, bound) * bound for name in AMOUNTS}
+        turns = self.measured.value_turns
+        self._errors = {name: flaws.fraction(name, units, bound, turns) * bound for name in AMOUNTS}
         self._held, self._bias = np.zeros((arms, size)), np.zeros((arms, size))
         self._late = np.zeros((flaws.delay, arms, size))  # delayed samples, the oldest first
         self._ages, self._noise = np.zeros(arms, dtype=np.int64), TruncatedNoise(arms, size + 1)

@@ -94,6 +94,11 @@ class MeasuredView:
         """Unit of each value (size,)."""
         return tuple(each for name, _ in self._parts for each in column_units(self._view, name))
 
+    @property
+    def value_turns(self) -> Array:
+        """Turns (size,) of the shaft of the encoder per turn of each value, see `encoder_turns`."""
+        return np.concatenate([np.zeros(0), *(encoder_turns(self._view, name) for name, _ in self._parts)])
+
     def columns(self, name: str) -> IntArray:
         """Return the indices of a quantity in `values`; (0,) if it is not measured."""
         end = 0
@@ -144,6 +149,16 @@ def column_units(view: View, name: str) -> list[str]:
     if name == "motion":
         return [view.units[each] for each, place in view.slices.items() for _ in range(place.stop - place.start)]
     return [view.units[name]] * getattr(view, name).shape[1]
+
+
+def encoder_turns(view: View, name: str) -> Array:
+    """Return the turns of the shaft of the encoder per turn, of each number of a measured quantity.
+
+    The encoder of a motor angle is on the shaft of the motor, that of any other angle at the joint.
+    """
+    if name == "motion":
+        return np.concatenate([encoder_turns(view, each) for each in view.slices])
+    return view.gear_ratios if name == "motor_angles" else np.ones(getattr(view, name).shape[1])
 
 
 def measurement_ranges(view: View, limits: Limits) -> dict[str, Array]:

@@ -211,8 +211,16 @@ class PDDesign:
         works = next((each for each in shorter_periods(self._period) if self._exists(each)), None)
         margins = f"a gain margin of {MIN_MARGINS.gain:g} and a phase margin of {MIN_MARGINS.phase:g} degrees"
         why = f"no PD at {1e3 * self._period:.6g} ms has {margins}"
+        why += "" if self._is_damped else " on an arm without damping (modal_damping_ratio, or damping of the joints)"
         allowed = f"{works:g}: {why}; {1e3 * works:g} ms works" if works else f"another arm: {why}, nor at any shorter"
         raise value_error("control_period", self._period, allowed)
+
+    @property
+    def _is_damped(self) -> bool:
+        """True for an arm whose links or springs are damped."""
+        arm = self._environment.arm
+        of_links = np.any(arm.modal_damping_ratio) or arm.stiffness_proportional_damping > 0.0
+        return bool(of_links) or any(joint.stiffness is not None and joint.damping for joint in arm.joints)
 
     def _exists(self, period: float) -> bool:
         """Return True if gains with margins exist at a control period, s."""

@@ -174,7 +174,8 @@ def _tip(tree: UrdfTree, movers: Mapping[str, UrdfJoint | None], tip: str | None
         listed = ", ".join(
             f"{name} ({count} joint{'s' * (count > 1)})" for name, count in zip(ends, counts, strict=True)
         )
-        raise value_error("tip", tip, f"a link that moves, such as one of the ends of the branches: {listed}")
+        form = "{urdf: FILE, tip: NAME} in a file or as the setting arm"
+        raise value_error("tip", tip, f"a link that moves ({form}), such as an end of a branch: {listed}")
     return ends[0]
 
 

@@ -11,7 +11,7 @@ from flexman_gym.toolbox.league.scenarios import change_name
 
 CERTIFICATE = "certificate.json"
 REQUIRED_KEYS = (("arrays_hash", str), ("fails", list), ("rows", list))  # keys of a certificate and their types
-CERTIFICATE_KEYS = (*(name for name, _ in REQUIRED_KEYS), "computer")
+CERTIFICATE_KEYS = (*(name for name, _ in REQUIRED_KEYS), "computer", "left_out")
 
 
 def read_certificate(folder: Path) -> dict[str, Any] | None:

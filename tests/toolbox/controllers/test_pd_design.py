@@ -129,6 +129,15 @@ def test_gains_of_a_slower_similar_arm_have_equal_stiffness_and_damping_times_th
     assert slow["damping"] == pytest.approx(10.0 * np.array(fast["damping"]), rel=1e-9)
 
 
+def test_the_error_of_an_arm_without_damping_names_the_damping():
+    links = [fm.Link.tube(length, 0.03, 0.0015) for length in (0.62, 0.54)]
+    joints = [fm.Joint((0, 0, 1), rotor_inertia=0.1, stiffness=each, torque_limit=20.0) for each in (3100.0, 870.0)]
+    bare, damped = (fm.Arm(links, joints, fm.Payload(0.35), modal_damping_ratio=each) for each in (0.0, 0.01))
+    line = refusal(lambda: design_pd(Configuration("FlexRRR-v0", {"arm": bare})))
+    assert "on an arm without damping (modal_damping_ratio, or damping of the joints)" in line
+    assert design_pd(Configuration("FlexRRR-v0", {"arm": damped}))
+
+
 @pytest.mark.slow
 def test_the_error_of_a_period_without_gains_names_the_longest_that_works():
     line = refusal(lambda: design_pd(Configuration("FlexPlanar-v0", {"control_period": 0.05})))

@@ -41,6 +41,27 @@ def folder(tmp_path, monkeypatch):
     return tmp_path / "still"
 
 
+def test_a_certificate_leaves_out_mujoco_for_an_arm_that_it_cannot_simulate(folder, tmp_path, monkeypatch):
+    run, names = certificate._run, ["", "@mujoco"]
+    monkeypatch.setattr(certificate, "_certificate_scenarios", lambda name: [name + each for each in names])
+
+    def refusing(name, scenario, *arguments):
+        if "@" in scenario:
+            raise ValueError(f"{scenario}: plant: only arms without Coulomb friction")
+        return run(name, scenario, *arguments)
+
+    monkeypatch.setattr(certificate, "_run", refusing)
+    monkeypatch.setattr(certificate, "find_spec", lambda name: object())
+    said = []
+    certify(str(folder), SEEDS, 2, tmp_path / "rows", log=said.append)
+    found = read_certificate(folder)
+    reason = f"{folder}@mujoco: plant: only arms without Coulomb friction"
+    assert found["left_out"] == {f"{folder}@mujoco": reason} and len(found["rows"]) == 2
+    assert f"left out: {reason}" in said
+    monkeypatch.setattr(certificate, "find_spec", lambda name: None)  # not installed
+    assert refusal(lambda: certify(str(folder), SEEDS, 2, tmp_path / "rows", log=said.append)) == reason
+
+
 @pytest.mark.slow
 def test_scenarios_are_run_as_their_names_say_and_kept_beside_the_policy(folder, tmp_path):
     assert certificate_file.describe_policy("still").endswith("Made up. It has no certificate.")

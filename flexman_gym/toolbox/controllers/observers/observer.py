@@ -99,7 +99,8 @@ class MeasurementModel:
     """
 
     def __init__(self, plant: Plant, sensors: Sequence[str]) -> None:
-        if isinstance(sensors, str) or not set(sensors) <= set(LINEAR_SENSORS) or "motor_encoders" not in sensors:
+        known = not isinstance(sensors, str) and all(each in tuple(LINEAR_SENSORS) for each in sensors)
+        if not known or "motor_encoders" not in sensors:
             optional = ", ".join(list(LINEAR_SENSORS)[1:])
             allowed = f"motor_encoders, and any of {optional}: other sensors are not linear in the state"
             raise value_error("sensors", sensors, allowed)
