@@ -200,7 +200,8 @@ class EnvironmentSettings:
     )
     gains: Any = _setting(
         "Gains of base='pd'. A mapping with stiffness (N m/rad) and damping (N m s/rad), a number for each joint. None "
-        "stands for the gains tuned for the named environment; an arm with different links or motors needs gains.",
+        "stands for the gains tuned for the named environment, and for designed ones of an arm with different links or "
+        "motors.",
         _as_given,
     )
     actions: Any = _setting(
