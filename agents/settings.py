@@ -25,7 +25,7 @@ from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.evaluation.agent_spec import INTERFACE
 
 ACTIONS_PER_SLEW = 16  # actions of the agent in the median slew of an arm of the user
-SLEWS_PER_EPISODE = 4  # median slews of an arm of the user in an episode of its training
+SLEWS_PER_EPISODE = 8  # median slews of an arm of the user in an episode of its training
 RECORDED_PACKAGES = ("flexman_gym", "gymnasium", "numba", "numpy", "scipy", "stable-baselines3", "torch")
 ALGORITHMS = ("ppo", "sac", "dagger")
 DEFAULT_ENVS = {"ppo": 64, "sac": 16, "dagger": 128}  # algorithm -> parallel arms
@@ -203,7 +203,7 @@ class Settings:
     def for_arm(self, arm: object, changes: Sequence[str] = ()) -> Self:
         """Return the settings for an arm of the user: times and payloads of the recipe scale with the arm.
 
-        An action lasts a sixteenth of the median slew, and an episode of PPO and SAC four median slews, so that most
+        An action lasts a sixteenth of the median slew, and an episode of PPO and SAC eight median slews, so that more
         samples belong to motions. Time constants of the history and ranges of the payload are in proportion to those of
         the named environment. Control period, horizon, limits, slew time and gains follow from the arm.
 

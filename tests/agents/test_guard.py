@@ -89,12 +89,11 @@ def test_an_action_of_a_recipe_lasts_a_share_of_the_slews_of_the_arm():
     assert ACTIONS_PER_SLEW * action_time(own) > 5.0 * ACTIONS_PER_SLEW * action_time(recipe.environment) / 2.0
 
 
-def test_an_episode_of_the_training_lasts_four_median_slews_and_an_evaluation_the_horizon():
+def test_an_episode_of_the_training_lasts_eight_median_slews_and_an_evaluation_the_horizon():
     recipe = find_recipe("ppo_on_pd_minute")
-    arm = recipe.environment.arm
-    settings = recipe.for_arm(replace(arm, joints=[replace(each, rotor_inertia=1.3) for each in arm.joints]))
+    settings = recipe.for_arm(Configuration("FlexPlanar-v0").arm)
     slew = ACTIONS_PER_SLEW * action_time(settings.environment)
-    assert settings.training_horizon == pytest.approx(4.0 * slew, rel=1e-2)
+    assert settings.training_horizon == pytest.approx(8.0 * slew, rel=1e-2)
     assert settings.training_environment.horizon == settings.training_horizon < settings.environment.horizon
     assert recipe.training_horizon is None and recipe.training_environment is recipe.environment
     arms = make_model(replace(settings, envs=2), "cpu").env
