@@ -212,11 +212,12 @@ class Settings:
                 file take precedence over those of the recipe, apart from those of the agent in INTERFACE.
             changes: changes "name=value" of settings of the environment, which take precedence.
         """
-        named, given = self.environment, {"arm": arm}
+        named, given = self.environment, {"arm": arm}  # checked after the changes, which may have torque limits
         kept = named.without(("arm", "gains", "horizon", "control_period", "limits", "slew_time"))
         if of_file := Configuration.of_file(arm):
             given = {name: each for name, each in of_file.given.items() if name not in (*INTERFACE, "gains")}
-        own = Configuration(of_file.id if of_file else named.id, kept.given | given).changed(changes)
+            kept = Configuration(of_file.id, kept.given)
+        own = kept.changed(changes, **given)
         scaled: dict[str, Any] = {"action_repeat": max(1, round(action_time(own) / own.control_period))}
         if isinstance(own.history, tuple):
             scale = action_time(own) / action_time(named)

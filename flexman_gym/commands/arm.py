@@ -40,7 +40,8 @@ def _run(options: argparse.Namespace) -> int:
     own = Configuration.of_file(options.arm, options.set)
     if own and options.env:
         raise value_error("--env", options.env, f"none: {options.arm} is the file of an environment")
-    found = describe(own.arm if own else options.arm, own or Configuration.find(options.env or DEFAULT_ID, options.set))
+    own = own or Configuration.find(options.env or DEFAULT_ID).changed(options.set, arm=options.arm)
+    found = describe(own.arm, own)
     print(found)
     chosen = _play(found.configuration) if options.play else None
     if options.save:

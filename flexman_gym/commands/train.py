@@ -138,14 +138,14 @@ def _make_settings(options: argparse.Namespace) -> "Settings":
         settings = Settings(algo=options.algo, environment=settings.environment, seed=settings.seed)
     if teacher := getattr(options, "teacher", None):
         named["hyperparameters"] = {**settings.hyperparameters, "teacher": teacher}
-    of_recipe = settings.environment
+    of_recipe, arm = settings.environment, getattr(options, "arm", None)
     if options.env:
-        settings = replace(settings, environment=Configuration.find(options.env))
-    if arm := getattr(options, "arm", None):
+        settings = replace(settings, environment=Configuration.find(options.env, () if arm else options.set))
+    elif not arm:
+        settings = replace(settings, environment=settings.environment.changed(options.set))
+    if arm:
         settings = settings.for_arm(arm, options.set)
         _warn_of_replaced_settings(arm, settings.environment.given)
-    else:
-        settings = replace(settings, environment=settings.environment.changed(options.set))
     if options.env and options.recipe:
         _warn_of_missing_settings(of_recipe.given, settings.environment.given, options.env)
     return replace(settings, **named)

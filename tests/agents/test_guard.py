@@ -111,6 +111,8 @@ def test_given_settings_of_a_recipe_for_an_arm_stay_and_the_others_follow_from_t
     assert (own.horizon, own.action_repeat, own.history) == (3.0, 7, (0.5, 2.0))
     assert own.randomised_ranges == recipe.environment.randomised_ranges | {"payload_mass": [0.0, 1.5]}
     assert own.derived.keys() == {"control_period", "limits", "slew_time"}
+    bare = replace(arm, joints=[replace(each, torque_limit=None) for each in arm.joints])
+    assert recipe.for_arm(bare, ["torque_limit=30.0"]).environment.torque_limit == (30.0,) * 3
 
 
 def test_settings_of_the_file_of_an_environment_precede_those_of_a_recipe_but_for_the_agent(tmp_path):

@@ -44,6 +44,14 @@ def test_the_file_of_an_environment_is_described_with_its_settings(tmp_path, cap
     assert f"none: {path} is the file of an environment" in capsys.readouterr().err
 
 
+def test_changes_concern_the_described_arm(capsys):
+    """Torque limits of four joints, in an environment whose own arm has three."""
+    assert main(["arm", FOUR_LINKS, "--set", "torque_limit=[41.0, 61.0, 31.0, 11.0]"]) == 0
+    assert "of its torque limit, 11 N m" in capsys.readouterr().out
+    assert main(["arm", "none.urdf", "--set", f"arm={{urdf: {URDF}}}", "--set", "torque_limit=[201.0, 101.0]"]) == 0
+    assert "of its torque limit, 201 N m" in capsys.readouterr().out
+
+
 def test_a_stored_environment_without_gains_has_the_designed_ones(tmp_path):
     own = Configuration("FlexRRR-v0", {"arm": FOUR_LINKS})
     own.save(tmp_path / "own.yaml")

@@ -315,13 +315,14 @@ class Configuration(EnvironmentSettings):
         """
         files.write_data(Path(path), _lists(self.to_plain()))
 
-    def changed(self, changes: Sequence[str]) -> "Configuration":
-        """Return a configuration with changes "name=value".
+    def changed(self, changes: Sequence[str], **settings: Any) -> "Configuration":
+        """Return a configuration with changes "name=value", after settings that replace those of the same names.
 
         Values have the syntax of YAML. A name with dots, such as "arm.payload.mass=0.5", changes one field of the arm,
         the task, the limits or a mapping.
         """
-        return self._from_changes({"id": self.id, **self._given}, changes) if changes else self
+        given = {"id": self.id, **self._given, **settings}
+        return self._from_changes(given, changes) if changes else self.replace(**settings)
 
     @classmethod
     def _from_changes(cls, data: object, changes: Sequence[str], folder: Path = Path()) -> Self:
