@@ -59,8 +59,10 @@ def describe(arm: Any, environment: str | Configuration = DEFAULT_ID, **settings
         >>> print(fm.describe(fm.catalog.planar_2r(), torque_limit=20.0).lines[1])
         frequencies, motors held     2.47, 15.5, 32.9, 43.6 Hz
     """
-    configuration = Configuration.of_file(arm) or Configuration.find(environment).replace(arm=arm)
-    configuration = configuration.replace(**settings)
+    of_file = Configuration.of_file(arm)
+    configuration = (
+        of_file.replace(**settings) if of_file else Configuration.find(environment).replace(arm=arm, **settings)
+    )
     facts = arm_facts(configuration.arm, configuration.torque_limit, configuration.slew_span)
     rows = [("arm", _summary(configuration, facts)), *_fact_rows(configuration, facts)]
     gains, warnings = _gains(configuration)
