@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import flexman_gym as fm
-from flexman_gym.kernels import layout, runge_kutta
+from flexman_gym.kernels import layout
 from flexman_gym.simulation import batch_integrators, integrator
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.batch_integrators import SequentialIntegrator
@@ -261,11 +261,9 @@ def test_a_control_period_that_is_broken_off_has_not_been(arms, threads, monkeyp
     assert np.array_equal(batch.rows, other.rows)
 
 
-def test_a_run_that_was_broken_off_leaves_no_pause_behind(monkeypatch):
-    """As by Ctrl-C between two calls of the kernel: the next run begins at its own beginning."""
-    model = fm.build_model(scene().arm, 1)
-    simulators = [fm.Simulator(model, "dopri5", None) for _ in range(2)]
-    run, called = simulators[0].batch._mover._integrators[0], runge_kutta.run_adaptive
+def break_off(monkeypatch, simulator, module, name):
+    """Break off a control period after the first call of a kernel, as by Ctrl-C; return the integrator."""
+    run, called = simulator.batch._mover._integrators[0], getattr(module, name)
     run._max_evaluations = 30
 
     def broken(*arguments):
@@ -273,8 +271,16 @@ def test_a_run_that_was_broken_off_leaves_no_pause_behind(monkeypatch):
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        patch.setattr(integrator.runge_kutta, "run_adaptive", broken)
-        simulators[0].step([1.0, 0.0])
+        patch.setattr(module, name, broken)
+        simulator.step([1.0, 0.0])
+    return run
+
+
+def test_a_run_that_was_broken_off_leaves_no_pause_behind(monkeypatch):
+    """As by Ctrl-C between two calls of the kernel: the next run begins at its own beginning."""
+    model = fm.build_model(scene().arm, 1)
+    simulators = [fm.Simulator(model, "dopri5", None) for _ in range(2)]
+    run = break_off(monkeypatch, simulators[0], integrator.runge_kutta, "run_adaptive")
     assert run.work.progress[0] == 1.0
     for simulator in simulators:
         simulator.reset()
@@ -287,16 +293,7 @@ def test_implicit_steps_that_were_broken_off_leave_a_guess_behind(name, monkeypa
     """As by Ctrl-C after some steps: the accelerations of the last step are the first guess of the next one."""
     model = fm.build_model(scene().arm, 1)
     simulators = [fm.Simulator(model, name, 0.001) for _ in range(2)]
-    run, called = simulators[0].batch._mover._integrators[0], integrator.batch.run_steps
-    run._max_evaluations = 30
-
-    def broken(*arguments):
-        called(*arguments)
-        raise KeyboardInterrupt
-
-    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        patch.setattr(integrator.batch, "run_steps", broken)
-        simulators[0].step([1.0, 0.0])
+    run = break_off(monkeypatch, simulators[0], integrator.batch, "run_steps")
     assert run.work.stages[1].any() and not simulators[0].state.any()
     if name == "implicit_midpoint":
         for simulator in simulators:

@@ -42,15 +42,16 @@ def folder(tmp_path, monkeypatch):
 
 
 def test_a_certificate_leaves_out_mujoco_for_an_arm_that_it_cannot_simulate(folder, tmp_path, monkeypatch):
-    run, names = certificate._run, ["", "@mujoco"]
+    run, names = certificate.run_league, ["", "@mujoco"]
     monkeypatch.setattr(certificate, "_certificate_scenarios", lambda name: [name + each for each in names])
 
-    def refusing(name, scenario, *arguments):
-        if "@" in scenario:
-            raise ValueError(f"{scenario}: plant: only arms without Coulomb friction")
-        return run(name, scenario, *arguments)
+    def refusing(agents, scenarios, *arguments):
+        if "@" in scenarios[0]:
+            cell = SimpleNamespace(scenario=scenarios[0], why="plant: only arms without Coulomb friction")
+            return SimpleNamespace(cells={0: cell}, rows={})
+        return run(agents, scenarios, *arguments)
 
-    monkeypatch.setattr(certificate, "_run", refusing)
+    monkeypatch.setattr(certificate, "run_league", refusing)
     monkeypatch.setattr(certificate, "find_spec", lambda name: object())
     said = []
     certify(str(folder), SEEDS, 2, tmp_path / "rows", log=said.append)
