@@ -39,7 +39,7 @@ class View:
         has_gravity: True for an arm under gravity.
         gauge_radii: (n, 3) distances of the gauges of `root_strains` from the axis of the link, m.
         control_period: time between two commands, s.
-        slew_time: time of a usual slew, s; rewards relate velocities to it.
+        slew_time: time of a usual slew, s; the distance reward relates velocities to it.
         state: (b, 2 d) generalised coordinates and their rates, in the order of `kernels.layout`.
         joint_angles: (b, n) angles of the link side of the joints, rad.
         joint_rates: (b, n) rates of the joint angles, rad/s.

@@ -189,7 +189,7 @@ class EnvironmentSettings:
         "truncated"),
     )
     slew_time: float = _setting(
-        "Time of a usual slew, to which the rewards of the tasks relate velocities.",
+        "Time of a usual slew, to which the distance reward of the tasks relates velocities.",
         partial(positive, "slew_time", unit="s"), unit="s", named=True,
     )
     base: Any = _setting(

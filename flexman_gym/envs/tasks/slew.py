@@ -35,7 +35,7 @@ class Slew:
         values in brackets are for R = 8.5 m and T = 3.2 s.
             tip_error      0.7 times the mean of 1 / (1 + (e / w)^2) over three widths w, which are 0.24 R, 0.047 R and
                            0.0094 R (2, 0.4 and 0.08 m)
-            tip_vibration  0.2 / (1 + (tip vibration / (0.113 R / T))^2)  (0.3 m/s)
+            tip_vibration  0.2 / (1 + (tip vibration / (0.035 R / s))^2)  (0.3 m/s)
             effort         0.1 (1 - mean square of the commanded torques as fractions of their limits)
             failure        -failure_penalty if the arm exceeded a limit or its simulation diverged, else 0
         With reward="distance" one term replaces tip_error, tip_vibration and effort. It changes noticeably at errors of
