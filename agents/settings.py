@@ -25,6 +25,7 @@ from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.evaluation.agent_spec import INTERFACE
 
 ACTIONS_PER_SLEW = 16  # actions of the agent in the median slew of an arm of the user
+OPTIONAL = ("training_horizon",)  # settings that a file lacks where they are None
 SLEWS_PER_EPISODE = 8  # median slews of an arm of the user in an episode of its training
 RECORDED_PACKAGES = ("flexman_gym", "gymnasium", "numba", "numpy", "scipy", "stable-baselines3", "torch")
 ALGORITHMS = ("ppo", "sac", "dagger")
@@ -198,7 +199,8 @@ class Settings:
         """
         record = read_settings(folder)
         with files.reading(folder / SETTINGS, NO_SETTINGS):
-            return cls.from_dict({name: record[name] for name in (each.name for each in fields(cls))})
+            names = [each.name for each in fields(cls) if each.name in record or each.name not in OPTIONAL]
+            return cls.from_dict({name: record[name] for name in names})
 
     def for_arm(self, arm: object, changes: Sequence[str] = ()) -> Self:
         """Return the settings for an arm of the user: times and payloads of the recipe scale with the arm.
@@ -242,6 +244,7 @@ class Settings:
     def plain(self) -> dict[str, Any]:
         """Return all settings as JSON-compatible data."""
         values = {each.name: getattr(self, each.name) for each in fields(self)}
+        values = {name: each for name, each in values.items() if each is not None or name not in OPTIONAL}
         return deepcopy(values | {"environment": self.environment.to_plain()})
 
     def write(self, folder: Path, done: int) -> None:

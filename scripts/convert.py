@@ -39,8 +39,7 @@ STATE_FIELDS = {
     "plan": "episode_parameters",
     "quickening": "pace_rate", "shape": "shaping", "wanted": "action", "way": "displacement",
 }  # fmt: skip
-# settings that were added, with their effect before
-ADDED_SETTINGS = {"base_in_use": None, "training_horizon": None, "value_warmup": 0}
+ADDED_SETTINGS = {"base_in_use": None, "value_warmup": 0}  # settings that were added, with their effect before
 REMOVED_SETTINGS = ("engine",)  # settings of runs of RLlib
 ADDED_CONSTANTS = frozenset(  # constants of an arm that were added; a state without them has those of its environment
     ("coulomb_rate", "knee_share", "knee_twist", "ripple_torque", "static_excess", "stribeck_rate")

@@ -31,9 +31,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
     algorithms = f"{', '.join(ALGORITHMS)} (default: that of the recipe, or ppo)"
     parser.add_argument("--algo", choices=ALGORITHMS, metavar="NAME", help=algorithms)
     add_options(parser, "--env", "--set", env={"help": "environment (flexman list environments) or file"})
-    parser.add_argument(
-        "--arm", metavar="FILE", help="arm (file, URDF or name) or environment file to which the recipe scales"
-    )
+    parser.add_argument("--arm", metavar="FILE", help="arm or environment (file) to which the recipe scales")
     parser.add_argument("--keep-worse", action="store_true", help="keep a policy that settles less than its base")
     parser.add_argument("--steps", type=int, metavar="N", help="environment steps, summed over all arms")
     parser.add_argument("--seed", type=int, metavar="N", help="seed of the first run")
@@ -66,8 +64,8 @@ def _run(options: argparse.Namespace) -> int:
     """Train or resume; return the exit status."""
     from flexman_agents.callbacks import Interrupted
     from flexman_agents.guard import guard
-    from flexman_agents.settings import Settings
     from flexman_agents.training import resume
+    from flexman_gym.common.run_folder import read_settings
 
     try:
         if options.resume:
@@ -88,7 +86,7 @@ def _run(options: argparse.Namespace) -> int:
         if report := guard(each, options.keep_worse):
             print(report if len(folders) == 1 else f"{each}: {report}")
     if len(folders) == 1:
-        base = Settings.load(folders[0]).environment.base
+        base = read_settings(folders[0])["environment"].get("base")
         other = base if isinstance(base, str) else "pd"
         print(f"The run is in {folders[0]}; to evaluate it: flexman evaluate {folders[0]} {other}")
     return 0

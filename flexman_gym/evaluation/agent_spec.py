@@ -12,6 +12,7 @@ from flexman_gym.agent.base_controllers import BASES, parse_kind
 from flexman_gym.envs.config.base_and_mode import make_base_and_mode
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
+from flexman_gym.envs.sensors.instrument import Instrument
 
 if TYPE_CHECKING:
     from flexman_gym.evaluation.action_clock import ActionClock
@@ -120,6 +121,11 @@ class AgentSpec:
         base, mode = make_base_and_mode(design, resolve_fidelity(design).model)
         settings = {name: value for name, value in self.interface.items() if name != "gains"}
         return replace(self, interface={**settings, "base": base, "actions": mode})
+
+
+def has_instrument_errors(environment: Configuration) -> bool:
+    """Return True for sensors with errors, which also concern the readings of controllers."""
+    return any(isinstance(each, Instrument) and each.settings() for each in environment.sensors)
 
 
 def split_interface(environment: Configuration) -> tuple[Configuration, dict[str, Any]]:

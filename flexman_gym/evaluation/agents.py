@@ -9,7 +9,7 @@ from flexman_gym.agent.controller import Controller, EpisodeInfo, Readings
 from flexman_gym.common.arrays import Array, BoolArray, IntArray
 from flexman_gym.common.errors import value_error
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.evaluation.agent_spec import INTERFACE, SIMPLE_AGENTS, AgentSpec
+from flexman_gym.evaluation.agent_spec import INTERFACE, SIMPLE_AGENTS, AgentSpec, has_instrument_errors
 
 
 def find_agent(agent: object) -> AgentSpec:
@@ -55,7 +55,9 @@ def is_baseline(name: str) -> bool:
 def common_environment(
     agents: Sequence[AgentSpec], named: Configuration | None = None, changes: Sequence[str] = ()
 ) -> Configuration:
-    """Return the environment in which agents are compared, without the settings in INTERFACE but the sensors.
+    """Return the environment in which agents are compared, without the settings in INTERFACE.
+
+    Sensors with errors stay: controllers read with them.
 
     The baseline "pd" has the gains of the first agent whose training had a PD controller.
 
@@ -72,8 +74,9 @@ def common_environment(
 
 
 def _without_agent(environment: Configuration) -> Configuration:
-    """Return an environment without the settings in INTERFACE but the sensors, with whose errors controllers read."""
-    return environment.without([name for name in INTERFACE if name != "sensors"])
+    """Return an environment without the settings in INTERFACE, but with sensors whose errors concern controllers."""
+    kept = ("sensors",) if has_instrument_errors(environment) else ()
+    return environment.without([name for name in INTERFACE if name not in kept])
 
 
 def _training_environment(agents: Sequence[AgentSpec]) -> Configuration:

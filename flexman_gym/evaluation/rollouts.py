@@ -18,8 +18,7 @@ from flexman_gym.common.errors import value_error
 from flexman_gym.common.progress import Progress
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.episodes import Episodes
-from flexman_gym.envs.sensors.instrument import Instrument
-from flexman_gym.evaluation.agent_spec import AgentSpec, split_interface
+from flexman_gym.evaluation.agent_spec import AgentSpec, has_instrument_errors, split_interface
 from flexman_gym.evaluation.agents import find_agent
 from flexman_gym.metrics import BAND, damping_ratio
 from flexman_gym.simulation.batch import Batch
@@ -305,7 +304,7 @@ def _keywords(agent: AgentSpec, environment: Configuration) -> dict[str, Any]:
     """
     bare, interface = split_interface(environment)
     keywords = bare.keywords() | deepcopy(interface if agent.interface is None else agent.interface)
-    if agent.law is None and any(isinstance(each, Instrument) and each.settings() for each in environment.sensors):
+    if agent.law is None and has_instrument_errors(environment):
         keywords.setdefault("sensors", environment.sensors)
     if agent.environment is not None:
         keywords["task"] = _ObservedTask(bare.task, agent.environment.task.sensors)

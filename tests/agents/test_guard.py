@@ -89,7 +89,7 @@ def test_an_action_of_a_recipe_lasts_a_share_of_the_slews_of_the_arm():
     assert ACTIONS_PER_SLEW * action_time(own) > 5.0 * ACTIONS_PER_SLEW * action_time(recipe.environment) / 2.0
 
 
-def test_an_episode_of_the_training_lasts_eight_median_slews_and_an_evaluation_the_horizon():
+def test_an_episode_of_the_training_lasts_eight_median_slews_and_an_evaluation_the_horizon(tmp_path):
     recipe = find_recipe("ppo_on_pd_minute")
     settings = recipe.for_arm(Configuration("FlexPlanar-v0").arm)
     slew = ACTIONS_PER_SLEW * action_time(settings.environment)
@@ -98,6 +98,10 @@ def test_an_episode_of_the_training_lasts_eight_median_slews_and_an_evaluation_t
     assert recipe.training_horizon is None and recipe.training_environment is recipe.environment
     arms = make_model(replace(settings, envs=2), "cpu").env
     assert arms.get_attr("configuration")[0] == settings.training_environment
+    for each in (settings, recipe):
+        each.write(tmp_path, 0)
+        assert Settings.load(tmp_path) == each
+        assert ("training_horizon" in (tmp_path / "settings.json").read_text()) == (each is settings)
     text = "training_horizon: 3.0 is not allowed; give None for dagger"
     assert refusal(lambda: replace(find_recipe("lab_student"), training_horizon=3.0)) == text
 

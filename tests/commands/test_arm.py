@@ -55,7 +55,7 @@ def test_changes_concern_the_described_arm(capsys):
 def test_a_stored_environment_without_gains_has_the_designed_ones(tmp_path):
     own = Configuration("FlexRRR-v0", {"arm": FOUR_LINKS})
     own.save(tmp_path / "own.yaml")
-    assert Configuration.load(tmp_path / "own.yaml").pd_gains == own.pd_gains
+    assert Configuration.of_file(tmp_path / "own.yaml").pd_gains == own.pd_gains
 
 
 def test_a_file_with_a_urdf_and_its_arguments_is_an_arm(tmp_path):

@@ -243,7 +243,11 @@ class Configuration(EnvironmentSettings):
             return None
         with files.naming(arm):
             data = files.read_data(Path(arm))
-        return cls.load(arm, changes) if "id" in data else None
+            if "id" not in data:
+                return None
+            if data.keys() >= {*DERIVED}:  # a stored environment: nothing is left to derive but the gains of a PD
+                data.pop("settings", None)
+            return cls._from_changes(data, changes, Path(arm).parent)
 
     @property
     def given(self) -> dict[str, Any]:
@@ -395,6 +399,9 @@ class Configuration(EnvironmentSettings):
         """
         named, gains = NAMED_ENVIRONMENTS[self.id], self.gains
         if gains is None and not self.has_named_motors:
+            if self._given.get("settings") == "named":
+                allowed = f"those of this arm, which flexman optimise gains finds: {self.id} has other links or motors"
+                raise value_error("gains", None, allowed)
             designed: Gains = load_entry("flexman_gym.toolbox.controllers.pd_design:design_pd")(self)
             return designed
         if gains is None:

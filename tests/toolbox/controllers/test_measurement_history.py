@@ -6,6 +6,7 @@ import pytest
 from flexman_gym.toolbox.controllers.observers.measurement_history import MeasurementHistory
 from flexman_gym.toolbox.controllers.observers.observer import MeasurementModel
 
+from oracles.assertions import refusal
 from oracles.observed_arms import small_plant
 
 SENSORS, COUNT = ("motor_encoders", "strain"), 6
@@ -56,3 +57,9 @@ def test_a_repeated_sample_of_a_moving_arm_has_no_weight_and_a_late_one_is_not_s
     assert np.array_equal(found.count(arms, 2), [2 * moved.shape[1]] * 2)
     found.store(arms, np.full(2, COUNT), moved, motion)
     assert found.readings.shape[1] == COUNT
+
+
+@pytest.mark.parametrize("sensors", ["motor_encoders", ["strain"], ["motor_encoders", {"kind": "strain"}]])
+def test_sensors_of_an_observer_are_names_of_linear_sensors_with_the_motor_encoders(sensors):
+    line = refusal(lambda: MeasurementModel(small_plant(), sensors))
+    assert line.startswith("sensors: ") and "motor_encoders, and any of" in line

@@ -99,8 +99,9 @@ class MeasurementModel:
     """
 
     def __init__(self, plant: Plant, sensors: Sequence[str]) -> None:
-        known = not isinstance(sensors, str) and all(each in tuple(LINEAR_SENSORS) for each in sensors)
-        if not known or "motor_encoders" not in sensors:
+        names = () if isinstance(sensors, str) else sensors
+        known = all(isinstance(each, str) and each in LINEAR_SENSORS for each in names)
+        if not known or "motor_encoders" not in names:
             optional = ", ".join(list(LINEAR_SENSORS)[1:])
             allowed = f"motor_encoders, and any of {optional}: other sensors are not linear in the state"
             raise value_error("sensors", sensors, allowed)
