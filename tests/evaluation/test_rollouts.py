@@ -121,7 +121,6 @@ def test_a_failed_episode_is_counted_to_its_last_period():
     assert (result["effort"], result["roughness"]) == (1.0, 0.0), "full torque in all of them"
 
 
-@pytest.mark.feature
 def test_a_controller_reads_with_the_errors_of_the_instruments_of_an_environment():
     """As in an environment with this base; instruments without errors change nothing, to the bit."""
     settings = {"horizon": 0.4, "elements": 1, "modes": 1}
@@ -140,6 +139,7 @@ def test_a_controller_reads_with_the_errors_of_the_instruments_of_an_environment
     assert np.array_equal(rollout("pd", named, [3]).records[0].errors, errors["coarse"])
 
 
+@pytest.mark.feature
 def test_the_band_is_a_part_of_the_reach():
     """Of two links of half a metre: an episode settles in the band that the head of the table names, in mm."""
     environment = Configuration("FlexPlanar-v0", {"horizon": 3.0})
