@@ -24,6 +24,15 @@ KEYS = (  # settings of a training run, and the versions of packages with which 
 PLAIN_DATA = "data.json"  # name of the JSON-compatible data among the arrays of a file
 
 
+def policy_file(folder: Path) -> Path:
+    """Return the file of the best policy of a run, or of the newest if no best policy exists.
+
+    Raises:
+        FileNotFoundError: if the folder has neither.
+    """
+    return folder / BEST if (folder / BEST).is_file() else existing_file(folder / NEWEST)
+
+
 def write_npz(path: Path, data: dict[str, Any]) -> None:
     """Write nested dicts and lists of arrays and JSON-compatible data atomically to one npz file."""
     arrays: dict[str, np.ndarray] = {}

@@ -9,7 +9,7 @@ from flexman_gym.agent.agent import Agent
 from flexman_gym.common.arrays import Array, BoolArray, IntArray
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.sensors import FullState, SensorArray
-from flexman_gym.envs.sensors.ideal import NEAR
+from flexman_gym.envs.sensors.ideal import NEARNESS_LENGTH
 from flexman_gym.envs.tasks import Hold, Slew
 from flexman_gym.envs.tasks.rewards import REWARDS
 from flexman_gym.envs.view import Number, View
@@ -58,9 +58,9 @@ class CompiledPeriod:
         own: dict[str, Any] = {
             "action": self._action, "command": self.command, "torque_limits": motors[0], "drive": motors[1],
             "active": np.ones(1, dtype=bool), "readings": sensors.observations, "bound": sensors.bound,
-            "observations": agent.observations, "nearness_offset": np.array([NEAR * view.reach]), "limits": limits,
-            "violated": violated, "ages": ages, "reward": np.array([compiled.kind]), "reward_terms": terms,
-            "reward_parameters": compiled.parameters(view.reach, view.slew_time),
+            "observations": agent.observations, "nearness_offset": np.array([NEARNESS_LENGTH * view.reach]),
+            "limits": limits, "violated": violated, "ages": ages, "reward": np.array([compiled.kind]),
+            "reward_terms": terms, "reward_parameters": compiled.parameters(view.reach, view.slew_time),
         }  # fmt: skip
         self._arrays = Period(**own, **view.period_arrays(), **batch.period_arrays())  # kept alive for the kernel
         self.arguments = batch.bind_period(motors[1], self._arrays) or ()

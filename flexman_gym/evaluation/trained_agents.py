@@ -11,14 +11,14 @@ import numpy as np
 
 from flexman_gym.agent.network import Network
 from flexman_gym.common.errors import unknown_name, value_error
-from flexman_gym.common.files import existing_file, naming, reading
+from flexman_gym.common.files import naming, reading
 from flexman_gym.common.run_folder import (
-    BEST,
     NEWEST,
     NO_SETTINGS,
     SETTINGS,
     check_keys,
     has_base_as_result,
+    policy_file,
     read_npz,
     read_settings,
 )
@@ -85,7 +85,7 @@ def _load_run(folder: Path) -> AgentSpec:
         kept: dict[str, Any] = {name: interface[name] for name in ("base", "gains") if name in interface}
         kept |= {"base": base_in_use} if base_in_use else {}
         return AgentSpec(f"{folder.name}: its base", None, kept, bare)
-    path = folder / BEST if (folder / BEST).is_file() else existing_file(folder / NEWEST)
+    path = policy_file(folder)
     data = read_npz(path)
     check_settings(path, data, settings)
     done = _steps_of(data)

@@ -29,6 +29,7 @@ from flexman_gym.model.state_space import first_order_lag
 from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.input_checks import warn_unusual_units
 from flexman_gym.scene.serialization import SUFFIXES, URDF, find_arm, to_plain
+from flexman_gym.simulation.integrator import default_step
 
 NESTED_SETTINGS = ("arm", "task", "limits")  # settings with fields, such as arm.payload.mass
 DERIVED = ("control_period", "horizon", "limits", "slew_time")  # settings that follow from an arm of the user
@@ -372,6 +373,13 @@ class Configuration(EnvironmentSettings):
         """Largest delay of the commanded torques, control periods."""
         delay = self.disturbances.delay if self.disturbances else None
         return int(delay[1]) if delay else 0
+
+    @property
+    def integration_step(self) -> float:
+        """Setting step, s; for None the `default_step` of the control period."""
+        if self.step is not None:
+            return self.step
+        return default_step(self.control_period, NAMED_ENVIRONMENTS[self.id].longest_step)
 
     @property
     def lag(self) -> tuple[float, float] | None:

@@ -5,12 +5,10 @@ from typing import TYPE_CHECKING, NamedTuple
 from flexman_gym.common.checks import positive
 from flexman_gym.common.registry import load_entry
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.model.assembled_modes import assembled_modes
 from flexman_gym.model.model import Model, build_model
 from flexman_gym.scene.scene import Initial, ModelChoice, Scene
 from flexman_gym.scene.signals import SineTorque
-from flexman_gym.simulation.integrator import default_step
 from flexman_gym.simulation.methods import Method
 
 if TYPE_CHECKING:
@@ -39,10 +37,7 @@ def resolve_fidelity(configuration: Configuration) -> _Fidelity:
         modes = assembled_modes(configuration.arm, configuration.elements, 0.5 / configuration.control_period)
     switches = {name: getattr(configuration, name) for name in ("stiffening", "spinning_rotors", "rotary_inertia")}
     model = build_model(configuration.arm, configuration.elements, modes, **switches)
-    step = configuration.step
-    if step is None:
-        step = default_step(configuration.control_period, NAMED_ENVIRONMENTS[configuration.id].longest_step)
-    return _Fidelity(model, configuration.method, step, None)
+    return _Fidelity(model, configuration.method, configuration.integration_step, None)
 
 
 def _choose_fidelity(configuration: Configuration) -> "Choice":

@@ -15,7 +15,6 @@ from flexman_gym.envs.sensors.sensor_array import measured_names
 from flexman_gym.envs.view import View
 from flexman_gym.model.model import Model
 from flexman_gym.simulation.batch import Batch
-from flexman_gym.simulation.integrator import default_step
 from flexman_gym.simulation.physical_parameters import PARAMETERS, UNMODELLED
 
 ROUNDING = 12.0**-0.5  # standard deviation of a rounding error, as a fraction of the quantisation step
@@ -42,7 +41,7 @@ def make_plant(configuration: Configuration, model: Model) -> Plant:
             if name in PARAMETERS.keys() - UNMODELLED
         },
         (int(fewest), int(most)),
-        (configuration.method, configuration.step or default_step(configuration.control_period, named.longest_step)),
+        (configuration.method, configuration.integration_step),
         float(ranges.get("tip_load", (0.0, 0.0))[1]),
         lambda: _measurement_errors(configuration, model),
         configuration.drive_bandwidth,

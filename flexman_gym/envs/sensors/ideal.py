@@ -61,7 +61,7 @@ class Quantities:
                 np.minimum(out[:, columns], bound, out=out[:, columns])
 
 
-NEAR = 0.1 / 8.5  # fraction of the reach; tip error at which the nearness has the length 1/2
+NEARNESS_LENGTH = 0.1 / 8.5  # fraction of the reach; tip error at which the nearness has the length 1/2
 
 
 @dataclass
@@ -70,8 +70,8 @@ class FullState:
 
     For n joints: motor angles and rates, joint twists and their rates, deflections of the links and their rates, then
     the goal: angle errors, target error, target nearness and tip velocity. `FlexManEnv` lists units and bounds. The
-    nearness is e / (NEAR reach + |e|) with the target error e (3,). It resolves millimetres even if observations are
-    normalised by their standard deviation, which is metres in a slew.
+    nearness is e / (NEARNESS_LENGTH reach + |e|) with the target error e (3,). It resolves millimetres even if
+    observations are normalised by their standard deviation, which is metres in a slew.
     """
 
     measures: ClassVar[tuple[str, ...]] = ("motion", "tip")
@@ -92,7 +92,7 @@ class FullState:
         """Write the state and the goal into out (b, 9 n + 9)."""
         full_observation(
             view.motion, view.motor_angles, view.tip_velocity, view.goal_angles, view.target_error, view.tip_error,
-            NEAR * view.reach, out,
+            NEARNESS_LENGTH * view.reach, out,
         )  # fmt: skip
 
 

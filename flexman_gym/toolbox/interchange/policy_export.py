@@ -11,8 +11,8 @@ from flexman_gym.agent.network import MAX_INPUT, Network, policy_parameters
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.computer import optional_module
 from flexman_gym.common.errors import value_error
-from flexman_gym.common.files import existing_file, write_file
-from flexman_gym.common.run_folder import BEST, NEWEST, read_npz, read_settings
+from flexman_gym.common.files import write_file
+from flexman_gym.common.run_folder import policy_file, read_npz, read_settings
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation.agent_info import training_seconds
 from flexman_gym.evaluation.agent_spec import AgentSpec, split_interface
@@ -47,7 +47,7 @@ def export_policy(
     if folder.exists():
         raise value_error("folder", str(folder), "a new one")
     settings = read_settings(run)
-    path = run / BEST if (run / BEST).is_file() else existing_file(run / NEWEST)
+    path = policy_file(run)
     data = read_npz(path)
     check_settings(path, data, settings)
     target = _target_environment(Configuration.from_plain(settings["environment"]), environment)

@@ -16,7 +16,7 @@ from flexman_gym.evaluation.policy_files import policy_folder, read_policy
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.batch_integrators import SequentialIntegrator
 from flexman_gym.simulation.external_simulator import ExternalIntegrator, ExternalSimulator, RefinedSimulator
-from flexman_gym.simulation.integrator import Integrator, default_step, find_method
+from flexman_gym.simulation.integrator import Integrator, find_method
 from flexman_gym.simulation.methods import METHODS
 
 METHOD, TOLERANCE = "dop853", (1e-6, 1e-9)  # adaptive integration method; its relative and absolute local error
@@ -118,8 +118,7 @@ def _friction_settings(environment: Configuration, value: str) -> dict[str, Any]
 
 def _method_settings(environment: Configuration, value: str) -> dict[str, Any]:
     """Return an integration method and a quarter of the step (s) of the environment."""
-    step = environment.step or default_step(environment.control_period, NAMED_ENVIRONMENTS[environment.id].longest_step)
-    return {"method": find_method(value).name, "step": step / 4.0}
+    return {"method": find_method(value).name, "step": environment.integration_step / 4.0}
 
 
 CHANGES = {

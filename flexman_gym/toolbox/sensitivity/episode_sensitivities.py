@@ -31,7 +31,7 @@ from flexman_gym.envs.sensors import (
     find_sensors,
     measured_names,
 )
-from flexman_gym.envs.sensors.ideal import NEAR
+from flexman_gym.envs.sensors.ideal import NEARNESS_LENGTH
 from flexman_gym.envs.sensors.sensor import MeasuredView
 from flexman_gym.envs.tasks import Hold, Slew, Track
 from flexman_gym.envs.tasks.rewards import REWARDS
@@ -345,7 +345,7 @@ class _Sensing:
     def __init__(self, episodes: Episodes, limits: Limits, count: int) -> None:
         agent, effects, model = episodes.agent, episodes.effects, episodes.batch.model
         self._batch = Batch(model, control_period=episodes.batch.control_period, arms=max(count, 1))
-        self._view, self._nearness = View(self._batch), NEAR * episodes.view.reach
+        self._view, self._nearness = View(self._batch), NEARNESS_LENGTH * episodes.view.reach
         own, mode = agent.sensors[: len(agent.sensors) - len(agent.mode.sensors)], find_sensors(agent.mode.sensors)
         goals = len(own) - len(episodes.task.sensors)
         parts = [*map(_without_noise, own[:goals]), *map(_Goal, own[goals:])]
