@@ -3,11 +3,12 @@
 import json
 from pathlib import Path
 
-from flexman_agents.settings import ACTIONS_PER_SLEW, Settings, action_time
+from flexman_agents.own_arm import ACTIONS_PER_SLEW, action_time, base_alone
+from flexman_agents.settings import Settings
 from flexman_gym.common.files import write_file
 from flexman_gym.common.run_folder import BASE, RESULT
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.evaluation.agent_spec import AgentSpec, split_interface
+from flexman_gym.evaluation.agent_spec import AgentSpec
 from flexman_gym.evaluation.agents import find_agent
 from flexman_gym.evaluation.metrics import METRICS
 from flexman_gym.evaluation.rollouts import SELECTION_SEEDS, rollout
@@ -34,10 +35,8 @@ def guard(folder: str | Path, keep_worse: bool = False) -> str:
     result.unlink(missing_ok=True)
     if base is None:
         return ""
-    bare, interface = split_interface(environment)
-    gains = {name: interface[name] for name in ("gains",) if name in interface}
-    own = _settled(find_agent(folder), bare)
-    of_base = _settled(AgentSpec("base", None, {"base": base, **gains}), bare)
+    bare, agent = base_alone(environment, base)
+    own, of_base = _settled(find_agent(folder), bare), _settled(agent, bare)
     name = (
         base if isinstance(base, str) else base.get("kind", "base") if isinstance(base, dict) else type(base).__name__
     )

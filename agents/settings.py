@@ -4,29 +4,21 @@ import json
 import os
 import platform
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from copy import deepcopy
 from dataclasses import dataclass, field, fields, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Self
 
-import numpy as np
-
 from flexman_gym.agent.base_controllers import BASES, parse_kind
 from flexman_gym.common import files
 from flexman_gym.common.checks import finite, flag, mapping, one_of, positive, sequence, set_fields, whole_number
 from flexman_gym.common.errors import unknown_name, value_error
 from flexman_gym.common.run_folder import NO_SETTINGS, SETTINGS, read_settings
-from flexman_gym.envs.config.arm_settings import arm_facts
-from flexman_gym.envs.config.conditions import usual_payload
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
-from flexman_gym.evaluation.agent_spec import INTERFACE
 
-ACTIONS_PER_SLEW = 16  # actions of the agent in the median slew of an arm of the user
 OPTIONAL = ("training_horizon",)  # settings that a file lacks where they are None
-SLEWS_PER_EPISODE = 8  # median slews of an arm of the user in an episode of its training
 RECORDED_PACKAGES = ("flexman_gym", "gymnasium", "numba", "numpy", "scipy", "stable-baselines3", "torch")
 ALGORITHMS = ("ppo", "sac", "dagger")
 DEFAULT_ENVS = {"ppo": 64, "sac": 16, "dagger": 128}  # algorithm -> parallel arms
@@ -202,36 +194,6 @@ class Settings:
             names = [each.name for each in fields(cls) if each.name in record or each.name not in OPTIONAL]
             return cls.from_dict({name: record[name] for name in names})
 
-    def for_arm(self, arm: object, changes: Sequence[str] = ()) -> Self:
-        """Return the settings for an arm of the user: times and payloads of the recipe scale with the arm.
-
-        An action lasts a sixteenth of the median slew, and an episode of PPO and SAC eight median slews, so that more
-        samples belong to motions. Time constants of the history and ranges of the payload are in proportion to those of
-        the named environment. Control period, horizon, limits, slew time and gains follow from the arm.
-
-        Args:
-            arm: as the setting `arm` of an environment, or the path of a file of an environment. The settings of such a
-                file take precedence over those of the recipe, apart from those of the agent in INTERFACE.
-            changes: changes "name=value" of settings of the environment, which take precedence.
-        """
-        named, given = self.environment, {"arm": arm}  # checked after the changes, which may have torque limits
-        kept = named.without(("arm", "gains", "horizon", "control_period", "limits", "slew_time"))
-        if of_file := Configuration.of_file(arm):
-            given = {name: each for name, each in of_file.given.items() if name not in (*INTERFACE, "gains")}
-            kept = Configuration(of_file.id, kept.given)
-        own = kept.changed(changes, **given)
-        scaled: dict[str, Any] = {"action_repeat": max(1, round(action_time(own) / own.control_period))}
-        if isinstance(own.history, tuple):
-            scale = action_time(own) / action_time(named)
-            scaled["history"] = [float(f"{scale * each:.3g}") for each in own.history]
-        if "payload_mass" in own.randomised_ranges and "randomisation" not in given:
-            scaled["randomisation"] = own.randomised_ranges | {"payload_mass": _payload_range(named, own)}
-        environment = own.replace(**scaled).changed(changes)
-        if self.algo == "dagger":
-            return replace(self, environment=environment)
-        horizon = float(f"{SLEWS_PER_EPISODE * ACTIONS_PER_SLEW * action_time(own):.3g}")
-        return replace(self, environment=environment, training_horizon=min(horizon, environment.horizon))
-
     def check_run(self, folder: Path) -> None:
         """Raise ValueError if a folder, which may be missing, holds a run with different settings."""
         if not (folder / SETTINGS).exists():
@@ -301,15 +263,3 @@ def find_recipe(name: str) -> Settings:
     if not os.path.isfile(name):  # False for any text
         raise unknown_name("recipe", name, RECIPES, "the path of a file")
     return Settings.recipe(name)
-
-
-def action_time(environment: Configuration) -> float:
-    """Return the time of an action that suits the slews of the arm of an environment, s."""
-    facts = arm_facts(environment.arm, environment.torque_limit, environment.slew_span)
-    return float(np.median(facts.durations)) / ACTIONS_PER_SLEW
-
-
-def _payload_range(named: Configuration, own: Configuration) -> list[float]:
-    """Return the payloads (kg) of an arm in the same ratio to its usual payload as in a recipe."""
-    ratio = usual_payload(own.arm) / NAMED_ENVIRONMENTS[named.id].usual_payload
-    return [float(f"{ratio * each:.6g}") for each in named.randomised_ranges["payload_mass"]]

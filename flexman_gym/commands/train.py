@@ -126,6 +126,7 @@ def _training_options(options: argparse.Namespace) -> dict[str, Any]:
 
 def _make_settings(options: argparse.Namespace) -> "Settings":
     """Return the settings of the recipe, changed by the command line."""
+    from flexman_agents.own_arm import fit_to_arm
     from flexman_agents.settings import Settings, find_recipe
     from flexman_gym.envs.config.configuration import Configuration
 
@@ -142,7 +143,7 @@ def _make_settings(options: argparse.Namespace) -> "Settings":
     elif not arm:
         settings = replace(settings, environment=settings.environment.changed(options.set))
     if arm:
-        settings = settings.for_arm(arm, options.set)
+        settings = fit_to_arm(settings, arm, options.set)
         _warn_of_replaced_settings(arm, settings.environment.given)
     if options.env and options.recipe:
         _warn_of_missing_settings(of_recipe.given, settings.environment.given, options.env)

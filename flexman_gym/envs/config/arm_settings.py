@@ -40,6 +40,7 @@ class ArmFacts(NamedTuple):
         durations: (s,) durations of the slews, s: the shortest that the limits of torques and speeds and the first mode
             allow.
         rate: largest motor rate of the slews, rad/s.
+        torque_share: median over the slews of the largest torque of the acceleration / the torque available to it.
         reach: length of the stretched arm, m.
     """
 
@@ -50,6 +51,7 @@ class ArmFacts(NamedTuple):
     postures: Array
     durations: Array
     rate: float
+    torque_share: float
     reach: float
 
     @property
@@ -87,7 +89,8 @@ def _facts(plain: str, torque_limit: tuple[float, ...], span: tuple[float, float
     _check_holding(shares, ends, limits)
     largest = shares.reshape(-1, n).argmax(axis=0)
     held, free = (tuple(modes(model, motors=each).frequencies[:SHOWN].tolist()) for each in ("held", "free"))
-    durations = _slew_durations(model, arm, limits, (starts, changes), torques.max(axis=1))
+    by_torque = _torque_durations(model, limits, (starts, changes), torques.max(axis=1))
+    durations = np.maximum(by_torque, _speed_durations(arm, changes))
     rates = PEAK_RATE * np.abs(changes).max(axis=1) / durations
     durations = np.maximum(durations, 1.0 / held[0] if held else 0.0)
     springs = [each.stiffness / each.rotor_inertia for each in arm.joints if each.stiffness and not each.passive]
@@ -100,6 +103,7 @@ def _facts(plain: str, torque_limit: tuple[float, ...], span: tuple[float, float
         ends.reshape(-1, n)[largest],
         durations,
         float(rates.max()),
+        float(np.median((by_torque / durations) ** 2)),
         float(model.constants.length.sum()),
     )
 
@@ -116,20 +120,24 @@ def _check_holding(shares: Array, ends: Array, limits: Array) -> None:
         raise value_error(f"arm.joints[{i}].torque_limit", float(limits[i]), allowed)
 
 
-def _slew_durations(model: Model, arm: Arm, limits: Array, slews: tuple[Array, Array], holding: Array) -> Array:
-    """Return the durations (s,), s, of minimum-jerk slews at the limits of torques and motor speeds.
+def _torque_durations(model: Model, limits: Array, slews: tuple[Array, Array], holding: Array) -> Array:
+    """Return the durations (s,), s, of minimum-jerk slews at the limits of the torques.
 
     The inertia is that of motors and links without elastic deformation, in the middle of the slew.
     """
-    starts, changes = slews
-    speeds = np.array([np.inf if speed is None else speed for speed in motor_speeds(arm)])
     result = []
-    for start, change, weight in zip(starts, changes, holding, strict=True):
+    for start, change, weight in zip(*slews, holding, strict=True):
         inertia = slew_inertia(model, start + change / 2.0)
         free = np.maximum(TORQUE_SHARE * limits - weight, (1.0 - TORQUE_SHARE) * limits)
-        by_torque = np.sqrt((PEAK_ACCELERATION * np.abs(inertia @ change) / free).max())
-        result.append(max(by_torque, (PEAK_RATE * np.abs(change) / (SPEED_SHARE * speeds)).max()))
+        result.append(np.sqrt((PEAK_ACCELERATION * np.abs(inertia @ change) / free).max()))
     return np.array(result)
+
+
+def _speed_durations(arm: Arm, changes: Array) -> Array:
+    """Return the durations (s,), s, of minimum-jerk slews (s, n), rad, at the limits of the motor speeds."""
+    speeds = np.array([np.inf if speed is None else speed for speed in motor_speeds(arm)])
+    result: Array = (PEAK_RATE * np.abs(changes) / (SPEED_SHARE * speeds)).max(axis=1)
+    return result
 
 
 def slew_inertia(model: Model, posture: Array) -> Array:
