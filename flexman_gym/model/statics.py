@@ -11,9 +11,13 @@ from flexman_gym.common.checks import vector
 from flexman_gym.common.errors import value_error
 from flexman_gym.kernels import inverse, outputs
 from flexman_gym.kernels.layout import OUTPUTS, TIP, Work, make_work
-from flexman_gym.model.dynamics import elastic_forces, inertial_forces, stiffness_matrix
+from flexman_gym.model.dynamics import elastic_forces, inertial_forces, inertial_jacobian, stiffness_matrix
 from flexman_gym.model.model import Model, check_model
+from flexman_gym.model.state_space import natural_modes
 
+MAX_TURN = 0.3  # rad; largest change of a joint angle in a step of Newton's method
+NEUTRAL = 1e-4  # rad^2/s^2; squared frequency of a motion without restoring force
+NEWTON_STEPS = 100
 LARGEST_FACTOR, FACTOR_TOLERANCE = (
     1e6,
     1e-3,
@@ -42,8 +46,9 @@ def rest_state(model: Model, motor_angles: Vector | Matrix) -> Array:
     """Return the state of static equilibrium under gravity with the motors held at given angles.
 
     Without gravity the arm is undeformed. With gravity the equilibrium of weight, joint springs and links is found by a
-    modified Newton iteration, with the stiffness matrix as constant Jacobian. A joint with backlash rests at the side
-    of the gap to which its torque turns it, and in the middle without torque.
+    modified Newton iteration, with the stiffness matrix as constant Jacobian; loads on passive joints without spring
+    hang at the stable equilibrium, found by Newton's method. A joint with backlash rests at the side of the gap to
+    which its torque turns it, and in the middle without torque.
 
     Args:
         model: model of the arm.
@@ -54,7 +59,7 @@ def rest_state(model: Model, motor_angles: Vector | Matrix) -> Array:
 
     Raises:
         ValueError: if the iteration does not converge, for an arm that is too compliant for its weight; the message has
-            the stiffness that a joint needs. Under gravity also for a passive joint without spring.
+            the stiffness that a joint needs. Also for a passive joint that neither spring nor gravity restores.
 
     Examples:
         An arm in a vertical plane sags: its joint springs twist under its weight.
@@ -71,12 +76,11 @@ def rest_state(model: Model, motor_angles: Vector | Matrix) -> Array:
     return result
 
 
-def check_springs(model: Model) -> None:
-    """Raise ValueError for a model with a passive joint without spring, which has no stiffness matrix to invert."""
+def free_joints(model: Model) -> list[int]:
+    """Return the indices of the passive joints without spring, with which the stiffness matrix is singular."""
     constants = model.constants
-    for i in np.flatnonzero((constants.passive > 0) & (constants.passive_stiffness == 0.0)).tolist():
-        allowed = "a number > 0 (N m/rad): a passive joint without spring has no static equilibrium to be computed"
-        raise value_error(f"arm.joints[{i}].stiffness", model.arm.joints[i].stiffness, allowed)
+    found: list[int] = np.flatnonzero((constants.passive > 0) & (constants.passive_stiffness == 0.0)).tolist()
+    return found
 
 
 def _rest_states(model: Model, postures: Array) -> Array:
@@ -84,12 +88,50 @@ def _rest_states(model: Model, postures: Array) -> Array:
     states, d = model.at_rest(postures * (model.constants.passive == 0)), model.n_dof
     if not model.constants.gravity.any():
         return states
-    check_springs(model)
-    system = _rest_system(model)
+    system = None if free_joints(model) else _rest_system(model)
     for posture, state in zip(postures, states, strict=True):
-        if not _relax(model, system, state[:d]):
+        start = state[:d].copy()
+        if system is not None and _relax(model, system, state[:d]):
+            continue
+        if not model.constants.passive.any():
             raise value_error("motor_angles", posture.tolist(), _missing_stiffness(model, posture))
+        state[:d] = _hang(model, posture, start)
     return states
+
+
+def _hang(model: Model, posture: Array, coordinates: Array) -> Array:
+    """Return the coordinates (d,) of the stable equilibrium of an arm with passive joints, by Newton's method.
+
+    The stiffness includes that of gravity, m g l for a hanging load. In natural modes with negative stiffness the step
+    is reversed, so that a load above its joint falls, and no joint turns by more than MAX_TURN in a step.
+
+    Args:
+        model: model of the arm.
+        posture: (n,) motor angles, rad.
+        coordinates: (d,) first guess.
+    """
+    n, free, rest = model.n_joints, np.setdiff1d(np.arange(model.n_dof), model.driven_columns), np.zeros(model.n_dof)
+    forces, x = inertial_forces(model), coordinates.copy()
+    for _ in range(NEWTON_STEPS):
+        residual = (forces(x, rest, rest) + elastic_forces(model, x))[free]
+        jacobian = inertial_jacobian(model, np.array([x, rest, rest]))[: model.n_dof]
+        mass, stiffness = (jacobian[np.ix_(free, start + free)] for start in (2 * model.n_dof, 0))
+        stiffness = stiffness + stiffness_matrix(model, x)[np.ix_(free, free)]
+        squares, shapes = natural_modes((mass + mass.T) / 2.0, (stiffness + stiffness.T) / 2.0)
+        change = -shapes @ (shapes.T @ residual / np.maximum(np.abs(squares), NEUTRAL))
+        if squares[0] < 0.0 and np.abs(change).max() < inverse.EQUILIBRIUM_TOLERANCE:
+            change = change + shapes[:, 0] * MAX_TURN / np.abs(shapes[:, 0]).max()  # leaves an unstable equilibrium
+        turn = np.abs(change[free < n]).max(initial=0.0)
+        x[free] += change * min(1.0, MAX_TURN / turn if turn else 1.0)
+        if np.abs(change).max() <= inverse.EQUILIBRIUM_TOLERANCE * max(1.0, np.abs(x).max()):
+            break
+    else:
+        raise value_error("motor_angles", posture.tolist(), "an arm with a stable equilibrium in this posture")
+    if squares[0] <= NEUTRAL:
+        i = int(np.abs(shapes[:, 0] * (free < n)).argmax())
+        allowed = f"a number > 0 (N m/rad): gravity does not restore this passive joint at {posture.tolist()} rad"
+        raise value_error(f"arm.joints[{free[i]}].stiffness", model.arm.joints[free[i]].stiffness, allowed)
+    return x
 
 
 def _relax(model: Model, system: _System, coordinates: Array) -> bool:

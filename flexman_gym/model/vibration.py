@@ -7,11 +7,12 @@ import numpy as np
 
 from flexman_gym.common.arrays import Array, IntArray, Vector
 from flexman_gym.common.checks import check_solvable, one_of, vector
+from flexman_gym.common.errors import value_error
 from flexman_gym.model.dynamics import elastic_forces, inertial_forces, mass_matrix, stiffness_matrix
 from flexman_gym.model.linearization import continuous_model
 from flexman_gym.model.model import Model, check_model
 from flexman_gym.model.state_space import natural_modes
-from flexman_gym.model.statics import check_springs, holding_torques, rest_state
+from flexman_gym.model.statics import free_joints, holding_torques, rest_state
 
 RIGID_BODY_LIMIT = 1e-6  # magnitude of an eigenvalue / lowest natural frequency, up to which it is rigid-body motion
 OVERDAMPED_LIMIT = 1e-7  # dimensionless; imaginary part of an eigenvalue / its magnitude, up to which it is overdamped
@@ -232,7 +233,9 @@ def rotating_frequencies(model: Model, rates: Vector) -> Array:
     Raises:
         ValueError: for a passive joint without spring.
     """
-    check_springs(check_model(model))
+    for i in free_joints(check_model(model)):
+        allowed = "a number > 0 (N m/rad): the steady rotation is computed from springs at all passive joints"
+        raise value_error(f"arm.joints[{i}].stiffness", model.arm.joints[i].stiffness, allowed)
     d, result = model.n_dof, []
     weightless = replace(model, constants=model.constants._replace(gravity=np.zeros(3)))
     free = np.setdiff1d(np.arange(d), model.driven_columns)

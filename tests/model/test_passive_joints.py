@@ -168,22 +168,93 @@ def test_a_passive_joint_has_no_torque_to_differentiate(pendulum):
         fm.sensitivities(scene, to="motor_torques[1]", step=0.01)
 
 
-def free_pendulum(gravity):
+def free_pendulum(gravity, flexible=True):
     """Return the model of an arm whose second joint is passive and has no spring."""
     link = fm.Link.rod(0.5, 0.01, material="steel")
     joints = [fm.Joint(Z, rotor_inertia=0.01, torque_limit=1.0), fm.Joint(Z, passive=True)]
-    return fm.build_model(fm.Arm([link, link], joints, gravity=gravity), 1)
+    return fm.build_model(fm.Arm([link, link], joints, gravity=gravity), 1, flexible_links=flexible)
+
+
+def hanging_load(mass, rope, flexible=False, spring=None, axes=((0.0, 1.0, 0.0), (1.0, 0.0, 0.0))):
+    """Return the model of a boom on a motor, at whose tip a rope with a load hangs on two crossing passive joints.
+
+    At zero angles the rope points down. Link frames are parallel to the base there, with gravity along -z.
+    """
+    down = ((0.0, 0.0, 1.0), (0.0, 1.0, 0.0), (-1.0, 0.0, 0.0))
+    hook, thin = fm.Link.rigid(1e-9, 1e-9, (0.0, 0.0, 0.0), np.eye(3) * 1e-12), np.eye(3) * 1e-9
+    line = fm.Link.rigid(rope, 1e-9, (rope / 2.0, 0.0, 0.0), thin, orientation=down)
+    joints = [fm.Joint((0.0, -1.0, 0.0), rotor_inertia=10.0, stiffness=1e5, torque_limit=1e4),
+              *(fm.Joint(axis, passive=True, stiffness=spring) for axis in axes)]  # fmt: skip
+    boom = fm.Link.tube(2.0, 0.1, 0.004, "steel")
+    arm = fm.Arm([boom, hook, line], joints, fm.Payload(mass), gravity=(0.0, 0.0, -9.81))
+    return fm.build_model(arm, 2, flexible_links=flexible)
+
+
+@pytest.mark.parametrize("posture", [0.0, 0.9, -1.8])
+@pytest.mark.parametrize("flexible", [False, True])
+def test_a_load_on_crossing_joints_hangs_vertically_below_the_tip_of_its_boom(posture, flexible):
+    model = hanging_load(40.0, 1.5, flexible)
+    state = fm.rest_state(model, [posture, 5.0, -3.0])  # angles of passive joints follow from the equilibrium
+    torque = fm.holding_torques(model, [posture, 0.0, 0.0])
+    np.testing.assert_allclose(fm.acceleration(model, state, torque), 0.0, atol=1e-7)
+    tip, short = (
+        rest_tips(each, np.array([[posture, 0.0, 0.0]]))[0] for each in (model, hanging_load(40.0, 0.5, flexible))
+    )
+    np.testing.assert_allclose(tip - short, [0.0, 0.0, -1.0], atol=1e-7)
+    np.testing.assert_allclose(torque[1:], 0.0, atol=1e-7)
+    lever, boom = tip[0], model.arm.links[0].mass
+    if not flexible:
+        assert torque[0] == pytest.approx(9.81 * (40.0 + boom / 2.0) * lever, rel=1e-6)
+
+
+def test_small_swing_of_a_hanging_load_has_the_frequency_of_a_pendulum():
+    """A boom that is held and 1e5 N m/rad stiff hardly moves with 1 g of load: sqrt(g / L) in both directions."""
+    model = hanging_load(1e-3, 1.5)
+    found = 2.0 * np.pi * fm.modes(model, [0.6, 0.0, 0.0]).frequencies[:2]
+    np.testing.assert_allclose(found, np.sqrt(9.81 / 1.5), rtol=1e-6)
+
+
+def test_small_swing_of_two_hanging_masses_has_the_frequencies_of_a_double_pendulum():
+    """M = [[m1 + m2, m2 l2], ...] of point masses at the ends of massless rods; Landau and Lifshitz, section 23."""
+    (m1, m2), (l1, l2), g = (2.0, 0.7), (0.8, 0.5), 9.81
+    thin = np.eye(3) * 1e-12
+    rods = [fm.Link.rigid(length, mass, (length, 0.0, 0.0), thin) for length, mass in ((l1, m1), (l2, m2))]
+    base = fm.Link.rigid(1e-9, 1.0, (0.0, 0.0, 0.0), np.eye(3))
+    joints = [fm.Joint(Z, rotor_inertia=1.0, torque_limit=1.0), *[fm.Joint(Z, passive=True)] * 2]
+    model = fm.build_model(fm.Arm([base, *rods], joints, gravity=(0.0, -g, 0.0)))
+    state = fm.rest_state(model, [0.0] * 3)
+    np.testing.assert_allclose(state[:3], [0.0, -np.pi / 2.0, 0.0], atol=1e-9)
+    mass = np.array([[(m1 + m2) * l1**2, m2 * l1 * l2], [m2 * l1 * l2, m2 * l2**2]])
+    exact = np.sqrt(eigh(np.diag([(m1 + m2) * g * l1, m2 * g * l2]), mass)[0]) / (2.0 * np.pi)
+    np.testing.assert_allclose(fm.modes(model).frequencies, exact, rtol=1e-6)
+
+
+def test_a_load_above_its_joint_falls_to_the_stable_equilibrium():
+    link = fm.Link.rigid(0.5, 1.0, (0.25, 0.0, 0.0), np.eye(3) * 0.02)
+    joints = [fm.Joint(Z, rotor_inertia=0.1, torque_limit=9.0), fm.Joint(Z, passive=True)]
+    for direction in (1.0, -1.0):
+        model = fm.build_model(fm.Arm([link, link], joints, gravity=(9.81 * direction, 0.0, 0.0)))
+        angle = fm.rest_state(model, [0.0, 0.0])[1]
+        assert np.cos(angle) == pytest.approx(direction, abs=1e-12)
+
+
+def test_a_soft_passive_spring_and_the_weight_balance_near_the_hanging_position():
+    link = fm.Link.rigid(0.5, 1.0, (0.25, 0.0, 0.0), np.eye(3) * 0.02)
+    joints = [fm.Joint(Z, rotor_inertia=0.1, torque_limit=9.0), fm.Joint(Z, passive=True, stiffness=0.1)]
+    model = fm.build_model(fm.Arm([link, link], joints, gravity=(0.0, -9.81, 0.0)))
+    angle = fm.rest_state(model, [0.4, 0.0])[1]
+    assert 9.81 * 0.25 * np.cos(0.4 + angle) + 0.1 * angle == pytest.approx(0.0, abs=1e-9) and angle < -1.5
 
 
 @pytest.mark.parametrize("call", [
-    lambda model: fm.modes(model), lambda model: fm.modes(model, motors="free"),
-    lambda model: fm.rest_state(model, [0.0, 0.0]), lambda model: fm.rest_state(model, np.zeros((3, 2))),
+    lambda model: fm.modes(model), lambda model: fm.rest_state(model, np.zeros((3, 2))),
     lambda model: fm.holding_torques(model, [0.3, 0.0]), lambda model: rest_tips(model, np.zeros((1, 2))),
-    lambda model: rotating_frequencies(model, [1.0]),
 ])  # fmt: skip
-def test_equilibrium_of_a_passive_joint_without_spring_is_refused_in_one_line(call):
-    line = refusal(call, free_pendulum((0.0, -9.81, 0.0)))
-    assert line.startswith("arm.joints[1].stiffness: None is not allowed; give a number > 0 (N m/rad): a passive joint")
+def test_equilibrium_of_a_joint_that_neither_spring_nor_gravity_restores_is_refused_in_one_line(call):
+    line = refusal(call, free_pendulum((0.0, 0.0, -9.81), flexible=False))
+    assert line.startswith(
+        "arm.joints[1].stiffness: None is not allowed; give a number > 0 (N m/rad): gravity does not"
+    )
 
 
 def test_passive_joint_without_spring_moves_and_vibrates_where_no_equilibrium_is_needed():
@@ -192,18 +263,25 @@ def test_passive_joint_without_spring_moves_and_vibrates_where_no_equilibrium_is
     assert not fm.holding_torques(model, [0.0, 0.0]).any() and np.isfinite(rest_tips(model, np.zeros((1, 2)))).all()
     hanging = free_pendulum((0.0, -9.81, 0.0))
     assert fm.linearize(hanging, state=np.zeros(2 * hanging.n_dof)).B.shape[1] == 1
-    assert refusal(rotating_frequencies, model, [1.0]).startswith("arm.joints[1].stiffness: None")
+    for each in (model, hanging):
+        assert refusal(rotating_frequencies, each, [1.0]).startswith("arm.joints[1].stiffness: None")
 
 
 @pytest.mark.feature
-@pytest.mark.parametrize("gravity", [(0.0, 0.0, 0.0), (0.0, -9.81, 0.0)])
-def test_feature_that_needs_an_equilibrium_or_a_motor_refuses_a_passive_joint(gravity):
-    from flexman_gym.toolbox.controllers.excited_modes import excited_modes
+def test_feature_that_needs_a_motor_at_each_joint_refuses_a_passive_joint():
     from flexman_gym.toolbox.controllers.lqr import LQR
 
-    model = free_pendulum(gravity)
-    assert refusal(excited_modes, model, [0.0, 0.0]).startswith("arm.joints[1].stiffness: None is not allowed; give")
-    assert "an arm with a motor at each joint" in refusal(LQR, model, 1.0, 0.02)
+    assert "an arm with a motor at each joint" in refusal(LQR, free_pendulum((0.0, -9.81, 0.0)), 1.0, 0.02)
+
+
+@pytest.mark.feature
+def test_swing_of_a_hanging_load_is_among_the_modes_that_a_motor_excites():
+    from flexman_gym.toolbox.controllers.excited_modes import excited_modes
+
+    model, posture = hanging_load(40.0, 1.5), [0.6, 0.0, 0.0]
+    found = excited_modes(model, posture, held=True)
+    assert found[0, 0] == pytest.approx(fm.modes(model, posture).frequencies[0])
+    assert found[0, 2] > 0.1  # m, after a step of the motor by 1 rad
 
 
 @pytest.mark.parametrize("stiffness", [None, 2.0])

@@ -141,11 +141,10 @@ def test_holding_torques_of_the_rigid_arm_are_the_gradient_of_its_gravitational_
 NEEDED = re.compile(r"joint (\d) needs a stiffness of about (\S+) N m/rad, not (\S+?)(?:;|$)")
 
 
-def vertical(stiffness, passive=()):
+def vertical(stiffness):
     """Return an arm of rigid rods of 0.5 m and 1 kg in a vertical plane, with springs (N m/rad) at its joints."""
     link = fm.Link.rigid(0.5, 1.0, (0.25, 0.0, 0.0), np.diag([1e-4, 0.02, 0.02]))
-    joints = [fm.Joint((0.0, 0.0, 1.0), stiffness=each, **{"passive": True} if i in passive else {"rotor_inertia": 0.1})
-              for i, each in enumerate(stiffness)]  # fmt: skip
+    joints = [fm.Joint((0.0, 0.0, 1.0), stiffness=each, rotor_inertia=0.1) for each in stiffness]
     return fm.build_model(fm.Arm([link] * len(joints), joints, gravity=(0.0, -9.81, 0.0)))
 
 
@@ -162,19 +161,18 @@ def test_needed_stiffness_of_a_pendulum_is_that_of_the_closed_form():
     )
 
 
-@pytest.mark.parametrize("passive", [(), (1,), (0, 1)])
 @pytest.mark.parametrize("stiffness", [(0.5, 50.0), (50.0, 0.1), (0.5, 0.1)])
 @pytest.mark.parametrize("posture", [(0.0, 0.0), (0.7, -0.4)])
-def test_arm_with_the_needed_stiffness_holds_its_weight_and_a_softer_one_does_not(stiffness, passive, posture):
+def test_arm_with_the_needed_stiffness_holds_its_weight_and_a_softer_one_does_not(stiffness, posture):
     needed, soft = list(stiffness), [i for i, each in enumerate(stiffness) if each < 1.0]
-    found = NEEDED.findall(refusal(fm.rest_state, vertical(stiffness, passive), posture))
+    found = NEEDED.findall(refusal(fm.rest_state, vertical(stiffness), posture))
     assert [int(joint) - 1 for joint, *_ in found] == soft
     for joint, value, present in found:
         assert float(present) == stiffness[int(joint) - 1]
         needed[int(joint) - 1] = float(value)
     stiffer, softer = (tuple(np.where(np.isin([0, 1], soft), factor, 1.0) * needed) for factor in (1.02, 0.95))
-    assert np.isfinite(fm.rest_state(vertical(stiffer, passive), posture)).all()
-    refusal(fm.rest_state, vertical(softer, passive), posture)
+    assert np.isfinite(fm.rest_state(vertical(stiffer), posture)).all()
+    refusal(fm.rest_state, vertical(softer), posture)
 
 
 def test_arm_whose_links_are_too_soft_for_its_weight_is_refused_as_such():

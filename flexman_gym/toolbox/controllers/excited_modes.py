@@ -5,7 +5,6 @@ import numpy as np
 from flexman_gym.common.arrays import Array, Vector
 from flexman_gym.common.checks import flag, physical
 from flexman_gym.model.model import Model, check_model
-from flexman_gym.model.statics import check_springs
 from flexman_gym.model.vibration import Eigenpairs, EquilibriumMatrices
 
 RIGID_MODE_RATIO = 0.5  # fraction of the lowest frequency with held motors; slower modes are rigid-body motion
@@ -31,10 +30,9 @@ def excited_modes(model: Model, posture: Vector, held: bool = True, servo: float
             and damping give a rigid arm, with all other motors locked, a damping ratio of SERVO_DAMPING.
 
     Raises:
-        ValueError: for a posture of wrong shape, an arm without an equilibrium, and a passive joint without spring.
+        ValueError: for a posture of wrong shape, and an arm without an equilibrium.
     """
-    check_springs(check_model(model))
-    resting = EquilibriumMatrices.of(model, posture)
+    resting = EquilibriumMatrices.of(check_model(model), posture)
     if servo is not None:
         return _servo_modes(resting, 2.0 * np.pi * physical("servo", servo, "Hz"))
     motors, others = resting.motors, resting.free
