@@ -34,8 +34,10 @@ __all__ = [
     "planar_2r",
     "quanser_2dsfl",
     "quanser_rotary",
+    "rome_elastic_joint",
     "rotary_joint",
     "vertical_2r",
+    "wernholt_2006",
 ]
 
 paper_rrr = named_arm("paper_rrr")
@@ -68,6 +70,10 @@ moberg_2005 = named_arm("moberg_2005")
 """ABB benchmark of Moberg, Ohr and Gunnarsson: motor, gear and arm as four inertias in a chain, on the motor side."""
 apkarian_1998 = named_arm("apkarian_1998")
 """Flexible two-link manipulator of Apkarian and Adams, an example of gain scheduling over the posture of the elbow."""
+rome_elastic_joint = named_arm("rome_elastic_joint")
+"""Flexible link on an elastic joint of the University of Rome: one link of 0.7 m in a horizontal plane."""
+wernholt_2006 = named_arm("wernholt_2006")
+"""Axis of an industrial robot identified by Wernholt and Gunnarsson: motor, gear and arm in a chain, motor side."""
 TOOL = Payload(0.1)
 """Payload of `vertical_2r`, 0.1 kg."""
 LIGHT_TOOL = Payload(0.05)

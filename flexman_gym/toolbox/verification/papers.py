@@ -6,8 +6,10 @@ from dataclasses import replace
 import numpy as np
 
 from flexman_gym.common.arrays import Array
-from flexman_gym.model.dynamics import frequencies
+from flexman_gym.model.dynamics import frequencies, mass_matrix, stiffness_matrix
+from flexman_gym.model.element import NODE_COORDINATES
 from flexman_gym.model.model import build_model
+from flexman_gym.model.state_space import natural_modes
 from flexman_gym.scene import catalog
 from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.joint import Joint
@@ -24,6 +26,7 @@ NASA, ROME = "NASA JSC, ASME DETC2007-35511", "De Luca et al., IEEE CDC (1990), 
 GIFU = "Gifu University, ROBOMECH J. 5:28 (2018), usual moduli"
 QUANSER = "Quanser, rotary flexible link"
 KYOTO = "Quanser rotary flexible link, response measured at Kyoto University, grid of 4 %"
+ELASTIC_ROME, WERNHOLT = "Romano, Murra and De Luca, rotor held", "Wernholt and Gunnarsson, IFAC SYSID (2006)"
 GU, MOBERG = "Gu, Petkov and Konstantinov (2005)", "Moberg, Ohr and Gunnarsson, IFAC (2005)"
 APKARIAN, FILTER = "Apkarian and Adams, IEEE Trans. CST 6 (1998)", "thesis on PPO with a predictive safety filter"
 BEAMS, CHAIN = "planar beam elements", "matrices of a chain of masses"
@@ -75,6 +78,21 @@ def catalog_rows() -> Iterator[VerificationRow]:
         bare = replace(link.sections[0], masses=())
         case = f"rod of {bare.youngs_modulus / 1e9:g} GPa, clamped and bare, f_1, Hz"
         yield VerificationRow.printed(case, GIFU, text, _clamped(bare)[0])
+
+
+def _elastic_joint_rows() -> Iterator[VerificationRow]:
+    """Yield squared frequencies, rad^2/s^2, of the flexible link on an elastic joint, in its plane.
+
+    The numbers of elements are the fewest with which the printed digits are met.
+    """
+    for elements, number, text in ((8, 1, "34.14"), (24, 2, "1383.24"), (32, 3, "11084.49")):
+        model = build_model(catalog.rome_elastic_joint(), elements)
+        nodes = np.arange(model.n_dof)[model.elastic_columns(0)].reshape(elements, NODE_COORDINATES)
+        plane = np.append(0, nodes[:, [1, 5]])  # joint angle, deflections and rotations in the plane
+        block = np.ix_(plane, plane)
+        squares = natural_modes(mass_matrix(model, np.zeros(2 * model.n_dof))[block], stiffness_matrix(model)[block])[0]
+        case = f"flexible link on an elastic joint, w_{number}^2 with {elements} elements, rad^2/s^2"
+        yield VerificationRow.printed(case, ELASTIC_ROME, text, squares[number - 1])
 
 
 def _clamped(link: Link, payload: Payload | None = None) -> Array:
@@ -140,6 +158,10 @@ def _chain_rows() -> Iterator[VerificationRow]:
         yield from _series(f"{name}, free f_{{}}, Hz", source, free, frequencies(model)[1:], CHAIN_OF_MASSES)
         yield from _series(f"{name}, motor locked f_{{}}, Hz", source, locked, frequencies(model, lock_joints=True),
                                CHAIN_OF_MASSES)  # fmt: skip
+    model, source = build_model(catalog.wernholt_2006()), f"{WERNHOLT}; {CHAIN}"
+    yield from _series("robot axis, free f_{}, Hz", source, (8.974, 11.568), frequencies(model)[1:], CHAIN_OF_MASSES)
+    yield from _series("robot axis, motor held f_{}, Hz", source, (4.227, 10.392), frequencies(model, lock_joints=True),
+                           CHAIN_OF_MASSES)  # fmt: skip
     model, source = build_model(catalog.apkarian_1998()), f"{APKARIAN}; {CHAIN}"
     springs = np.diag([0.0, 0.0, 89.1473, 45.6434])
     for elbow, upper in APKARIAN_MASS.items():
@@ -158,6 +180,6 @@ def _chain_rows() -> Iterator[VerificationRow]:
 def paper_tables() -> dict[str, VerificationTable]:
     """Return the tables "printed", of printed and measured results, and "computed", of results of other programs."""
     return {
-        "printed": VerificationTable([*catalog_rows(), *_rotary_rows()]),
+        "printed": VerificationTable([*catalog_rows(), *_elastic_joint_rows(), *_rotary_rows()]),
         "computed": VerificationTable([*_beam_rows(), *_chain_rows()]),
     }
