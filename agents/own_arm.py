@@ -18,6 +18,7 @@ from flexman_gym.evaluation.rollouts import SELECTION_SEEDS, rollout
 
 ACTIONS_PER_SLEW = 16  # actions of the agent in the median slew of an arm of the user
 SETTLING_TIMES, SLEWS = 2.0, 8.0  # of the base, and median slews, in an episode of the training
+ENTROPY = 0.002  # bonus of the entropy, without which small standard deviations vanish before a limit is avoided
 FEWEST_SLEWS = 3.0  # median slews in an episode of the training, at least
 BASE_SEEDS = SELECTION_SEEDS[:20]  # seeds of the episodes in which the base is timed
 
@@ -85,8 +86,8 @@ def _scale_exploration(settings: Settings) -> Settings:
     """Return settings with standard deviations of the actions in proportion to the torques of a slew."""
     change = math.log(_facts(settings.environment).torque_share)
     values, schedules = dict(settings.hyperparameters), dict(settings.schedules)
-    if "log_std_init" in values:
-        values["log_std_init"] = round(values["log_std_init"] + change, 2)
+    if "log_std_init" in values and change < 0.0:
+        values = {"ent_coef": ENTROPY} | values | {"log_std_init": round(values["log_std_init"] + change, 2)}
     if "log_std" in schedules:
         moved = {name: round(schedules["log_std"][name] + change, 2) for name in ("start", "end")}
         schedules["log_std"] = {**schedules["log_std"], **moved}

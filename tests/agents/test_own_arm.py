@@ -69,6 +69,7 @@ def test_random_actions_are_in_proportion_to_the_torques_of_a_slew(recipe):
             assert found.schedules["log_std"][name] == pytest.approx(schedule[name] + math.log(share), abs=0.01)
     if value := recipe.hyperparameters.get("log_std_init"):
         assert found.hyperparameters["log_std_init"] == pytest.approx(value + math.log(share), abs=0.01)
+        assert found.hyperparameters["ent_coef"] > 0.0
 
 
 def test_given_settings_of_a_recipe_for_an_arm_stay_and_the_others_follow_from_the_arm():
