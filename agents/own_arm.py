@@ -18,7 +18,7 @@ from flexman_gym.evaluation.rollouts import SELECTION_SEEDS, rollout
 
 ACTIONS_PER_SLEW = 16  # actions of the agent in the median slew of an arm of the user
 SETTLING_TIMES, SLEWS = 2.0, 8.0  # of the base, and median slews, in an episode of the training
-ENTROPY = 0.002  # bonus of the entropy, without which small standard deviations vanish before a limit is avoided
+ENTROPY = 0.002  # bonus of the entropy: standard deviations that vanish early leave an arm beyond a limit
 FEWEST_SLEWS = 3.0  # median slews in an episode of the training, at least
 BASE_SEEDS = SELECTION_SEEDS[:20]  # seeds of the episodes in which the base is timed
 
@@ -86,7 +86,7 @@ def _scale_exploration(settings: Settings) -> Settings:
     """Return settings with standard deviations of the actions in proportion to the torques of a slew."""
     change = math.log(_facts(settings.environment).torque_share)
     values, schedules = dict(settings.hyperparameters), dict(settings.schedules)
-    if "log_std_init" in values and change < 0.0:
+    if "log_std_init" in values:
         values = {"ent_coef": ENTROPY} | values | {"log_std_init": round(values["log_std_init"] + change, 2)}
     if "log_std" in schedules:
         moved = {name: round(schedules["log_std"][name] + change, 2) for name in ("start", "end")}
