@@ -18,7 +18,7 @@ class _Tuning(NamedTuple):
     """Dimensionless gains, common to all joints.
 
     Attributes:
-        damping: derivative gain x control period / inertia of the motor.
+        damping: largest derivative gain x control period / inertia of the motor.
         feedback: joint-torque feedback gain / joint stiffness; below 1.
         stiffness: proportional gain x time scale / derivative gain.
         inertia: acceleration feed-forward / inertia of the stretched arm that remains with torque feedback.
@@ -39,6 +39,9 @@ TUNINGS = {
     1: _Tuning(0.849, 0.739, 1.24, 0.584, 1.33),
     2: _Tuning(0.502, 0.837, 1.23, 0.665, 1.33),
 }
+# Rate at which the damping stops the rigid arm x time scale, beyond which motors no longer absorb vibration: that of the
+# tuned gains, rounded up. Without this bound a short control period makes the motors of a quick arm too stiff.
+RIGID_RATE = 4.0
 SMALL_ANGLE = 0.05  # rad; added to the largest rotation, so that short slews are not abrupt
 PAYLOAD_CLASSES = 4  # number of payload classes that a scale distinguishes within the range of payloads
 
@@ -74,12 +77,16 @@ class TorqueFeedbackPD:
         scales = tuning.duration * np.sqrt((inertia / self._limits).max(axis=1))  # s/sqrt(rad)
         self._motor_inertia = 1.0 / np.diag(np.linalg.inv(masses[0]))[model.motor_columns]
         self._spring = np.where(model.constants.motor >= 0, model.constants.joint_stiffness, 0.0)
-        self._damping = tuning.damping * self._motor_inertia / self._period
+        self._holding_factor = np.where(self._spring > 0.0, 1.0 - tuning.feedback, 1.0)
+        carried = 1.0 + (self._holding_factor * inertia / self._motor_inertia).max(
+            axis=1
+        )  # (classes,), inertia / motor's
+        largest = RIGID_RATE * (carried / scales).max() * self._motor_inertia
+        self._damping = np.minimum(tuning.damping * self._motor_inertia / self._period, largest)
         self._stiffness = tuning.stiffness * self._damping / scales[:, None]
         self._feedback = tuning.feedback * self._spring
         self._inertia, self._scales = tuning.inertia * (1.0 - tuning.feedback) * inertia, scales
         self._models = models if model.constants.gravity.any() else None
-        self._holding_factor = np.where(self._spring > 0.0, 1.0 - tuning.feedback, 1.0)
         self._friction = friction_coefficients(model)
         self._width = model.constants.coulomb_rate
         self._ages, self._classes = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)

@@ -11,18 +11,18 @@ from flexman_gym.agent.controller import EpisodeInfo, Plant
 from flexman_gym.evaluation.metrics import evaluate
 from flexman_gym.model.friction import mean_friction_torques
 from flexman_gym.model.statics import holding_torques, rest_state
-from flexman_gym.toolbox.controllers.torque_feedback_pd import TUNINGS, TorqueFeedbackPD
+from flexman_gym.toolbox.controllers.torque_feedback_pd import RIGID_RATE, TUNINGS, TorqueFeedbackPD
 
 LIMITS, PERIOD, ONE, ON = (12.0, 4.0), 0.02, np.array([0]), np.ones(1, dtype=bool)
 START, GOAL = np.array([[0.1, -0.3]]), np.array([[0.6, 0.4]])
 
 
-def plant(gravity=False, payloads=None, delay=0, **joint):
+def plant(gravity=False, payloads=None, delay=0, period=PERIOD, **joint):
     arm = fm.catalog.vertical_2r()
     joints = [replace(each, **joint) for each in arm.joints]
     arm = replace(arm, joints=joints, gravity=arm.gravity if gravity else (0.0, 0.0, 0.0))
     unknown = {"payload_mass": payloads} if payloads else {}
-    return Plant(fm.build_model(arm, 1, 1), LIMITS, PERIOD, dict, unknown, (delay, delay))
+    return Plant(fm.build_model(arm, 1, 1), LIMITS, period, dict, unknown, (delay, delay))
 
 
 def begun(own, start=START, goal=GOAL, **drawn):
@@ -45,10 +45,22 @@ def test_at_its_goal_it_is_a_pd_with_feedback_of_the_joint_torque():
     constants, tuning = plant().model.constants, TUNINGS[0]
     spring = torques(own, readings(twists=[[1e-3, -2e-3]]))
     assert spring == pytest.approx(tuning.feedback * constants.joint_stiffness * [1e-3, -2e-3])
-    damping = tuning.damping * constants.rotor_inertia / PERIOD
+    damping = own._damping
     assert torques(own, readings(rates=[[0.01, -0.01]])) == pytest.approx(damping * [-0.01, 0.01], rel=1e-6)
     assert torques(own, readings(goal_rates=[[0.01, -0.01]])) == pytest.approx(damping * [0.01, -0.01], rel=1e-6)
     assert torques(own, readings(errors=[[1e-3, 2e-3]])) == pytest.approx(own._stiffness[0] * [1e-3, 2e-3])
+
+
+@pytest.mark.parametrize("period, bounded", [(0.05, False), (0.01, True), (0.001, True)])
+def test_damping_stops_rotors_within_a_control_period_and_the_rigid_arm_within_the_time_of_a_slew(period, bounded):
+    """Torque feedback f divides inertia and damping of the motors by 1 - f; the slowest joint has the rate D / (J + I)."""
+    given = plant(period=period)
+    own, tuning, constants = TorqueFeedbackPD(given), TUNINGS[0], given.model.constants
+    links = np.diag(fm.mass_matrix(given.model, np.zeros(2 * given.model.n_dof)))[:2]
+    damping, rotors = (each / (1.0 - tuning.feedback) for each in (own._damping, constants.rotor_inertia))
+    rate = (damping / (rotors + links)).min() * own._scales[0]
+    assert (rate == pytest.approx(RIGID_RATE)) == bounded and rate < 1.0001 * RIGID_RATE
+    assert (own._damping == pytest.approx(tuning.damping * constants.rotor_inertia / period)) == (not bounded)
 
 
 def test_on_a_minimum_jerk_slew_it_feeds_the_acceleration_forward_and_at_its_end_it_rests():
@@ -84,7 +96,8 @@ def test_friction_is_added_as_of_the_motion_of_the_next_period():
     rates = [[0.3, -0.3]]
     smooth, rubbing = (begun(plant(**each), GOAL) for each in ({}, {"coulomb_friction": 0.2, "viscous_friction": 0.1}))
     added = torques(rubbing, readings(rates=rates)) - torques(smooth, readings(rates=rates))
-    damped = np.array(rates[0]) * (1.0 - TUNINGS[0].damping)  # after a period under the damping alone
+    slowing = smooth._damping * PERIOD / plant().model.constants.rotor_inertia
+    damped = np.array(rates[0]) * (1.0 - slowing)  # after a period under the damping alone
     expected = mean_friction_torques(rubbing._friction, np.array(rates[0]), damped, rubbing._width)
     assert added == pytest.approx(expected) and np.abs(added).max() > 0.01
     assert torques(rubbing, readings()) == pytest.approx(0.0, abs=1e-12)
