@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from flexman_gym.envs.config.configuration import Configuration
     from flexman_gym.toolbox.league.arm_trial import Trial
 
-HEADS = f"{'controller':<14}{'payload, stiffness':<20}{'settled':>10}{'s':>8}{'CPU s':>8}  failures"
+HEADS = f"{'controller':<14}{'payload, stiffness':<20}{'settled':>10}{'s':>8}{'CPU s':>8}  {'failures':<20}needs"
 
 
 def _arguments(parser: argparse.ArgumentParser) -> None:
@@ -65,12 +65,15 @@ def _play(environment: "Configuration") -> "Trial | None":
 
 def _row(trial: "Trial") -> str:
     """Return the row of a controller."""
+    from flexman_gym.agent.base_controllers import BASES
+
     if trial.refusal:
         return f"{trial.agent:<14}{trial.knows:<20}refused: {trial.refusal}"
     time = "-" if trial.settling_time == float("inf") else f"{trial.settling_time:.3g}"
     causes = ", ".join(f"{count} {name}" for name, count in trial.failures.items()) or "none"
+    needs = ", ".join(BASES[trial.agent].information) or "motor encoders"
     settled = f"{trial.settled:.0%} of {trial.episodes}"
-    return f"{trial.agent:<14}{trial.knows:<20}{settled:>10}{time:>8}{trial.seconds:>8.1f}  {causes}"
+    return f"{trial.agent:<14}{trial.knows:<20}{settled:>10}{time:>8}{trial.seconds:>8.1f}  {causes:<20}{needs}"
 
 
 def _save(environment: "Configuration", chosen: "Trial | None", path: Path) -> None:

@@ -95,6 +95,13 @@ def test_settings_of_the_file_of_an_environment_precede_those_of_a_recipe_but_fo
     assert (own.base, own.sensors) == (recipe.environment.base, recipe.environment.sensors)
 
 
+def test_gains_in_the_file_of_an_environment_are_those_of_the_training(tmp_path):
+    path, gains = str(tmp_path / "own.yaml"), {"stiffness": (7.0, 3.0), "damping": (2.0, 1.0)}
+    Configuration("FlexPlanar-v0", {"arm": fm.catalog.vertical_2r(), "torque_limit": 20.0, "gains": gains}).save(path)
+    own = fit_to_arm(find_recipe("ppo_on_pd_minute"), path).environment
+    assert own.pd_gains == gains and own.base == "pd"
+
+
 def test_times_and_payloads_of_a_laboratory_recipe_scale_with_the_arm():
     recipe = find_recipe("lab_student")
     arm = recipe.environment.arm

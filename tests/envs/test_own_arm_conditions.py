@@ -60,3 +60,18 @@ def test_a_configuration_applies_them_and_given_settings_take_precedence():
     found = Configuration(ID, {"condition": "unknown-lab", "arm": arm, "horizon": 3.0})
     assert found.randomised_ranges["payload_mass"] == pytest.approx([0.0, 0.6]) and found.horizon == 3.0
     assert found.derived.keys() == {"control_period", "limits", "slew_time"} and "gains" not in found.given
+
+
+@pytest.mark.parametrize("condition", ["unknown-lab", "payload", "friction"])
+def test_a_condition_as_a_change_of_a_setting_is_that_of_the_arm(condition, tmp_path):
+    """In a mapping, as a change, and as a change of a file."""
+    arm = named_like(0.3)
+    path = str(tmp_path / "own.yaml")
+    Configuration(ID, {"arm": arm}).save(path)
+    given = Configuration(ID, {"arm": arm, "condition": condition})
+    for found in (Configuration(ID, {"arm": arm}), Configuration.find(path)):
+        changed = found.changed([f"condition={condition}"])
+        assert (changed.arm, changed.randomised_ranges) == (given.arm, given.randomised_ranges)
+    assert given.randomised_ranges != Configuration(ID, {"condition": condition}).randomised_ranges or not (
+        given.randomised_ranges
+    )

@@ -345,7 +345,7 @@ class Configuration(EnvironmentSettings):
                 ) from None
             first, *rest = name.split(".")
             if name == "condition":  # its settings replace earlier ones of the same names
-                data |= condition_settings(data["id"], value)
+                data |= _of_condition(data["id"], value, data, folder)[0]
                 continue
             if rest and first in NESTED_SETTINGS:
                 named, form = NAMED_ENVIRONMENTS[one_of("id", data["id"], NAMED_ENVIRONMENTS)], SETTINGS[first]
@@ -425,13 +425,18 @@ Configuration.__doc__ = "\n".join([f"{Configuration.__doc__}\n    Attributes:", 
 
 
 def _with_condition(id: str, condition: object, given: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """Return settings with those of a condition; for an arm of the user these are relative to its properties."""
+    """Return settings with those of a condition, which the given ones replace, but for an arm of the user."""
+    found, own = _of_condition(id, condition, given, folder)
+    return {**found, **given} | ({"arm": found["arm"]} if own else {})
+
+
+def _of_condition(id: str, condition: object, given: dict[str, Any], folder: Path) -> tuple[dict[str, Any], bool]:
+    """Return the settings of a condition, and True if they are relative to the properties of an arm of the user."""
     if given.get("arm") is not None:
         arm, named = find_arm(given["arm"], folder), NAMED_ENVIRONMENTS[one_of("id", id, NAMED_ENVIRONMENTS)].arm
         if (arm.links, arm.joints) != (named.links, named.joints):
-            of_condition = condition_for_arm(id, condition, arm, given.get("torque_limit"))
-            return {**of_condition, **given, "arm": of_condition["arm"]}
-    return {**condition_settings(id, condition), **given}
+            return condition_for_arm(id, condition, arm, given.get("torque_limit")), True
+    return condition_settings(id, condition), False
 
 
 def _checked_mapping(data: object) -> dict[str, Any]:
