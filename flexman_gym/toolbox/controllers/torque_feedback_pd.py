@@ -39,8 +39,8 @@ TUNINGS = {
     1: _Tuning(0.849, 0.739, 1.24, 0.584, 1.33),
     2: _Tuning(0.502, 0.837, 1.23, 0.665, 1.33),
 }
-# Rate at which the damping stops the rigid arm x time scale, beyond which motors no longer absorb vibration: that of the
-# tuned gains, rounded up. Without this bound a short control period makes the motors of a quick arm too stiff.
+# Rate at which the damping stops the rigid arm x time scale, beyond which motors no longer absorb vibration: that of
+# the tuned gains, rounded up. Without this bound a short control period makes the motors of a quick arm too stiff.
 RIGID_RATE = 4.0
 SMALL_ANGLE = 0.05  # rad; added to the largest rotation, so that short slews are not abrupt
 PAYLOAD_CLASSES = 4  # number of payload classes that a scale distinguishes within the range of payloads

@@ -53,7 +53,7 @@ def test_at_its_goal_it_is_a_pd_with_feedback_of_the_joint_torque():
 
 @pytest.mark.parametrize("period, bounded", [(0.05, False), (0.01, True), (0.001, True)])
 def test_damping_stops_rotors_within_a_control_period_and_the_rigid_arm_within_the_time_of_a_slew(period, bounded):
-    """Torque feedback f divides inertia and damping of the motors by 1 - f; the slowest joint has the rate D / (J + I)."""
+    """Torque feedback f divides inertia J and damping D of the motors by 1 - f; links I; the smallest D / (J + I)."""
     given = plant(period=period)
     own, tuning, constants = TorqueFeedbackPD(given), TUNINGS[0], given.model.constants
     links = np.diag(fm.mass_matrix(given.model, np.zeros(2 * given.model.n_dof)))[:2]
