@@ -11,17 +11,10 @@ from flexman_gym.common.checks import vector
 from flexman_gym.common.errors import value_error
 from flexman_gym.kernels import inverse, outputs
 from flexman_gym.kernels.layout import OUTPUTS, TIP, Work, make_work
-from flexman_gym.model.dynamics import elastic_forces, inertial_forces, inertial_jacobian, stiffness_matrix
+from flexman_gym.model.dynamics import elastic_forces, inertial_forces, stiffness_matrix
 from flexman_gym.model.model import Model, check_model
-from flexman_gym.model.state_space import natural_modes
 
-MAX_TURN = 0.3  # rad; largest change of a joint angle in a step of Newton's method
-NEUTRAL = 1e-4  # rad^2/s^2; squared frequency of a motion without restoring force
-NEWTON_STEPS = 100
-LARGEST_FACTOR, FACTOR_TOLERANCE = (
-    1e6,
-    1e-3,
-)  # dimensionless; of the search for the stiffness of a joint that is too soft
+LARGEST_FACTOR, FACTOR_TOLERANCE = 1e6, 1e-3  # of the search for the stiffness of a joint that is too soft, 1
 
 
 class _System(NamedTuple):
@@ -79,8 +72,7 @@ def rest_state(model: Model, motor_angles: Vector | Matrix) -> Array:
 def free_joints(model: Model) -> list[int]:
     """Return the indices of the passive joints without spring, with which the stiffness matrix is singular."""
     constants = model.constants
-    found: list[int] = np.flatnonzero((constants.passive > 0) & (constants.passive_stiffness == 0.0)).tolist()
-    return found
+    return list(np.flatnonzero((constants.passive > 0) & (constants.passive_stiffness == 0.0)))
 
 
 def _rest_states(model: Model, postures: Array) -> Array:
@@ -91,47 +83,14 @@ def _rest_states(model: Model, postures: Array) -> Array:
     system = None if free_joints(model) else _rest_system(model)
     for posture, state in zip(postures, states, strict=True):
         start = state[:d].copy()
-        if system is not None and _relax(model, system, state[:d]):
+        if system and _relax(model, system, state[:d]):
             continue
         if not model.constants.passive.any():
             raise value_error("motor_angles", posture.tolist(), _missing_stiffness(model, posture))
-        state[:d] = _hang(model, posture, start)
+        from flexman_gym.model.hanging import hang
+
+        state[:d] = hang(model, posture, start)
     return states
-
-
-def _hang(model: Model, posture: Array, coordinates: Array) -> Array:
-    """Return the coordinates (d,) of the stable equilibrium of an arm with passive joints, by Newton's method.
-
-    The stiffness includes that of gravity, m g l for a hanging load. In natural modes with negative stiffness the step
-    is reversed, so that a load above its joint falls, and no joint turns by more than MAX_TURN in a step.
-
-    Args:
-        model: model of the arm.
-        posture: (n,) motor angles, rad.
-        coordinates: (d,) first guess.
-    """
-    n, free, rest = model.n_joints, np.setdiff1d(np.arange(model.n_dof), model.driven_columns), np.zeros(model.n_dof)
-    forces, x = inertial_forces(model), coordinates.copy()
-    for _ in range(NEWTON_STEPS):
-        residual = (forces(x, rest, rest) + elastic_forces(model, x))[free]
-        jacobian = inertial_jacobian(model, np.array([x, rest, rest]))[: model.n_dof]
-        mass, stiffness = (jacobian[np.ix_(free, start + free)] for start in (2 * model.n_dof, 0))
-        stiffness = stiffness + stiffness_matrix(model, x)[np.ix_(free, free)]
-        squares, shapes = natural_modes((mass + mass.T) / 2.0, (stiffness + stiffness.T) / 2.0)
-        change = -shapes @ (shapes.T @ residual / np.maximum(np.abs(squares), NEUTRAL))
-        if squares[0] < 0.0 and np.abs(change).max() < inverse.EQUILIBRIUM_TOLERANCE:
-            change = change + shapes[:, 0] * MAX_TURN / np.abs(shapes[:, 0]).max()  # leaves an unstable equilibrium
-        turn = np.abs(change[free < n]).max(initial=0.0)
-        x[free] += change * min(1.0, MAX_TURN / turn if turn else 1.0)
-        if np.abs(change).max() <= inverse.EQUILIBRIUM_TOLERANCE * max(1.0, np.abs(x).max()):
-            break
-    else:
-        raise value_error("motor_angles", posture.tolist(), "an arm with a stable equilibrium in this posture")
-    if squares[0] <= NEUTRAL:
-        i = int(np.abs(shapes[:, 0] * (free < n)).argmax())
-        allowed = f"a number > 0 (N m/rad): gravity does not restore this passive joint at {posture.tolist()} rad"
-        raise value_error(f"arm.joints[{free[i]}].stiffness", model.arm.joints[free[i]].stiffness, allowed)
-    return x
 
 
 def _relax(model: Model, system: _System, coordinates: Array) -> bool:

@@ -90,7 +90,8 @@ def _facts(plain: str, torque_limit: tuple[float, ...], span: tuple[float, float
     largest = shares.reshape(-1, n).argmax(axis=0)
     held, free = (tuple(modes(model, motors=each).frequencies[:SHOWN].tolist()) for each in ("held", "free"))
     by_torque = _torque_durations(model, limits, (starts, changes), torques.max(axis=1))
-    durations = np.maximum(by_torque, _speed_durations(arm, changes))
+    speeds = np.array([np.inf if speed is None else speed for speed in motor_speeds(arm)])
+    durations = np.maximum(by_torque, (PEAK_RATE * np.abs(changes) / (SPEED_SHARE * speeds)).max(axis=1))
     rates = PEAK_RATE * np.abs(changes).max(axis=1) / durations
     durations = np.maximum(durations, 1.0 / held[0] if held else 0.0)
     springs = [each.stiffness / each.rotor_inertia for each in arm.joints if each.stiffness and not each.passive]
@@ -131,13 +132,6 @@ def _torque_durations(model: Model, limits: Array, slews: tuple[Array, Array], h
         free = np.maximum(TORQUE_SHARE * limits - weight, (1.0 - TORQUE_SHARE) * limits)
         result.append(np.sqrt((PEAK_ACCELERATION * np.abs(inertia @ change) / free).max()))
     return np.array(result)
-
-
-def _speed_durations(arm: Arm, changes: Array) -> Array:
-    """Return the durations (s,), s, of minimum-jerk slews (s, n), rad, at the limits of the motor speeds."""
-    speeds = np.array([np.inf if speed is None else speed for speed in motor_speeds(arm)])
-    result: Array = (PEAK_RATE * np.abs(changes) / (SPEED_SHARE * speeds)).max(axis=1)
-    return result
 
 
 def slew_inertia(model: Model, posture: Array) -> Array:
