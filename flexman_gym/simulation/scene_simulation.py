@@ -404,7 +404,7 @@ def run_in_lanes(
         counts = integrator.run(tables, grid, call.rows or 1, moved, status)
         if call.complete and not call.rows:
             rows[:, call.row + 1], outputs[:, call.row + 1] = moved[1][:, 0], moved[2][:, 0]
-        valid[moving] = call.row + call.complete * (counts[moving, 0] // grid.substeps)
+        valid[moving] = call.row + counts[moving, 0] // grid.substeps  # the last part of an interval decides
         evaluations += counts[:, 1]
     return result.T
 

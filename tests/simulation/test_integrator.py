@@ -283,6 +283,9 @@ def test_a_run_that_was_broken_off_leaves_no_pause_behind(monkeypatch):
     run = break_off(monkeypatch, simulators[0], integrator.runge_kutta, "run_adaptive")
     assert run.work.progress[0] == 1.0
     for simulator in simulators:
+        simulator.step([1.0, 0.0])
+    np.testing.assert_allclose(simulators[0].state, simulators[1].state, rtol=0.0, atol=1e-6)
+    for simulator in simulators:
         simulator.reset()
         simulator.step([1.0, 0.0])
     assert np.array_equal(simulators[0].state, simulators[1].state)
