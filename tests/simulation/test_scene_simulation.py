@@ -212,16 +212,20 @@ def test_scenes_with_samples_of_equal_moments_move_side_by_side_as_alone(method)
             assert all(np.array_equal(getattr(run, name), getattr(alone, name)) for name in ("states", "tip", "energy"))
 
 
-def test_a_scene_that_fails_beside_others_ends_where_it_does_alone():
+@pytest.mark.parametrize("calm_samples, end", [(3, 0.02), (1, 0.0)])
+def test_a_scene_that_fails_beside_others_ends_where_it_does_alone(calm_samples, end):
+    """Other scenes go on, over several pieces of the drive."""
     times = np.array([0.0, 0.004, 0.0071, 0.02, 0.05])
     calm = replace(SCENE, torque=fm.SampledTorque(times, np.zeros((5, 2))), duration=0.05, output_step=0.01)
-    wild = replace(calm, torque=fm.SampledTorque(times, [[0.0, 0.0]] * 3 + [[1e12, 1e12]] * 2))
+    wild = replace(
+        calm, torque=fm.SampledTorque(times, [[0.0, 0.0]] * calm_samples + [[1e12, 1e12]] * (5 - calm_samples))
+    )
     for run, scene in zip(fm.simulate_all([wild, calm], MODEL, "ros2", 0.0025), (wild, calm), strict=True):
         alone = fm.simulate(scene, MODEL, "ros2", 0.0025)
         assert run.status == alone.status and np.array_equal(run.states, alone.states)
     failed = fm.simulate(wild, MODEL, "ros2", 0.0025)
-    assert failed.status == "diverged" and failed.time[-1] == pytest.approx(0.02)
-    assert failed.explanation().startswith("the simulation diverged: ") and "at 0.02" in failed.explanation()
+    assert failed.status == "diverged" and failed.time[-1] == pytest.approx(end)
+    assert failed.explanation().startswith("the simulation diverged: ") and f"at {end:g}" in failed.explanation()
 
 
 def test_a_joint_follows_the_angles_that_were_measured():
