@@ -229,6 +229,72 @@ def test_small_swing_of_two_hanging_masses_has_the_frequencies_of_a_double_pendu
     np.testing.assert_allclose(fm.modes(model).frequencies, exact, rtol=1e-6)
 
 
+def pendulum_on_a_base(length):
+    """Return the arm of a point mass on a massless rod that hangs at a zero angle, and the index of its joint."""
+    down = ((0.0, 0.0, 1.0), (0.0, 1.0, 0.0), (-1.0, 0.0, 0.0))
+    block = fm.Link.rigid(1e-9, 1.0, (0.0, 0.0, 0.0), np.eye(3))
+    rod = fm.Link.rigid(length, 2.0, (length, 0.0, 0.0), np.eye(3) * 1e-13, orientation=down)
+    joints = [fm.Joint((1.0, 0.0, 0.0), rotor_inertia=1.0, torque_limit=1.0), fm.Joint(Y, passive=True)]
+    return fm.Arm([block, rod], joints, gravity=(0.0, 0.0, -9.81))
+
+
+def swing(length, accelerations, duration, step=0.01):
+    """Return times and angles of a pendulum, at rest at first, whose base has an acceleration (three signals)."""
+    scene = fm.Scene(pendulum_on_a_base(length), CHOICE, fm.ConstantTorque((0.0, 0.0)), REST, duration=duration,
+                     output_step=step, prescribed=(fm.Signal(), None), base_acceleration=accelerations)  # fmt: skip
+    run = fm.simulate(scene, method="dop853", rtol=1e-10, atol=1e-13)
+    return run.time, run.joint_angles[:, 1]
+
+
+def test_a_pendulum_whose_pivot_accelerates_obeys_its_equation():
+    """L q'' = -(g + a_z) sin q + s a_x cos q, with s = 1 or -1 of the axis: a pivot that falls swings more slowly."""
+    length, (x, z) = 1.3, ((2.0, 0.4), (3.0, 0.7))  # amplitude (m/s^2) and frequency (Hz) along x and z
+    signals = [fm.Signal(amplitude=x[0], frequency_hz=x[1]), fm.Signal(), fm.Signal(amplitude=z[0], frequency_hz=z[1])]
+    time, found = swing(length, signals, 4.0, 0.1)
+
+    def rates(t, state):
+        ax, az = (amplitude * np.sin(2.0 * np.pi * frequency * t) for amplitude, frequency in (x, z))
+        return state[1], (-(9.81 + az) * np.sin(state[0]) + ax * np.cos(state[0])) / length
+
+    exact = solve_ivp(rates, (0.0, 4.0), (0.0, 0.0), "DOP853", time, rtol=1e-12, atol=1e-14).y[0]
+    np.testing.assert_allclose(found, exact, atol=1e-8)
+    assert np.abs(found).max() > 0.2
+
+
+@pytest.mark.feature
+def test_a_shaped_acceleration_of_the_pivot_leaves_the_swing_that_theory_predicts():
+    """ZV shaping (Singer and Seering, 1990): no swing at the design length, |cos(pi w / 2 w_0)| beside it.
+
+    The swing stays below 2 degrees; the residual of a pulse without shaping is the unit.
+    """
+    from flexman_gym.toolbox.controllers.input_shaping.shapers import design_shaper, shaper_residual
+
+    length, push, pulse = 1.5, 0.2, 0.1  # m, m/s^2, s
+    frequency = np.sqrt(9.81 / length) / (2.0 * np.pi)
+    shaper = design_shaper("zv", frequency)
+
+    def residual(own, impulses):
+        """Return the amplitude of the free swing after the pulses, by energy, rad."""
+        rate = np.sqrt(9.81 / own)
+        total = np.zeros(3)
+        for start, part in impulses:  # linear: the swings of single pulses add up
+            signals = [fm.Signal(offset=part * push, start=start, stop=start + pulse), fm.Signal(), fm.Signal()]
+            time, angle = swing(own, signals, 3.0)
+            late = time > 2.0
+            basis = np.column_stack([np.cos(rate * time[late]), np.sin(rate * time[late]), np.ones(late.sum())])
+            total += np.linalg.lstsq(basis, angle[late], rcond=None)[0]
+        return np.hypot(*total[:2])
+
+    pairs = list(zip(shaper.times, shaper.amplitudes, strict=True))
+    for factor in (1.0, 0.8, 1.25):
+        plain = residual(factor * length, [(0.0, 1.0)])
+        assert plain < np.radians(2.0)
+        found = residual(factor * length, pairs) / plain
+        expected = shaper_residual(shaper, frequency / np.sqrt(factor)) / 100.0  # from percent
+        assert found == pytest.approx(expected, abs=1e-3)
+        assert expected == pytest.approx(abs(np.cos(np.pi / 2.0 / np.sqrt(factor))), abs=1e-9)
+
+
 def test_a_load_above_its_joint_falls_to_the_stable_equilibrium():
     link = fm.Link.rigid(0.5, 1.0, (0.25, 0.0, 0.0), np.eye(3) * 0.02)
     joints = [fm.Joint(Z, rotor_inertia=0.1, torque_limit=9.0), fm.Joint(Z, passive=True)]
