@@ -143,9 +143,8 @@ def _check_entries(kind: Any, path: str, data: object, *excluded: str) -> dict[s
             allowed = FOREIGN_KEYWORDS.get(kind.__name__, {}).get(name)
             allowed = allowed or f"only the keys {', '.join(names)}{suggestion(name, names)}"
             raise value_error(f"{prefix}{name}", value, allowed)
-    for name in names:
-        if name not in data and name not in _optional_keys(kind):
-            raise ValueError(f"{prefix}{name}: missing; give the keys " + ", ".join(names))
+    if missing := [name for name in names if name not in data and name not in _optional_keys(kind)]:
+        raise ValueError(f"{prefix}{', '.join(missing)}: missing; give the keys " + ", ".join(names))
     return dict(data)
 
 

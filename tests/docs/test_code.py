@@ -145,6 +145,7 @@ def test_the_examples_are_those_of_the_pages():
     assert described.arm.n_joints == 4
     shown = {page: [text for _, text in blocks(page)] for page in PAGES}
     assert (ROOT / "docs" / "examples" / "planar_payload.yaml").read_text(encoding="utf-8") in shown["training"]
+    assert (ROOT / "docs" / "examples" / "strip_arm.yaml").read_text(encoding="utf-8") in shown["own_arm"]
     _, _, circle = (ROOT / "docs" / "examples" / "circle.py").read_text(encoding="utf-8").partition("TURN")
     assert shown["own_task"][0].endswith(circle)
 

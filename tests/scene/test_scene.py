@@ -18,6 +18,7 @@ from flexman_gym.scene.joint import Joint
 from flexman_gym.scene.link import IDENTITY, Link, NonUniformLink
 from flexman_gym.scene.rigid_body import Payload
 from flexman_gym.scene.scene import Initial, ModelChoice, Scene
+from flexman_gym.scene.serialization import find_arm
 from flexman_gym.scene.signals import ConstantTorque, SineTorque
 
 from oracles.assertions import offenders, refusal
@@ -259,7 +260,7 @@ def test_a_key_is_needed_and_no_other_is_known(part):
         if path[-1] in ("note", "payload", "modes", "rotary_inertia"):
             load(path, GONE)
         elif path[-1] == "sections":  # without them it is a uniform link
-            wrong += ill_said(path, [GONE], f"{named(path[:-1])}.length: missing; give the keys length, ")
+            wrong += ill_said(path, [GONE], f"{named(path[:-1])}.length, area, second_moment_y, ")
         else:
             wrong += ill_said(path, [GONE], f"{named(path)}: ")
         other = (*path[:-1], "lenght")
@@ -370,3 +371,12 @@ def test_any_bytes_are_refused_in_one_line(tmp_path_factory, content):
     for name in ("scene.json", "scene.yaml"):
         (folder / name).write_bytes(content)
         assert refusal(Scene.load, folder / name).startswith(f"{folder / name}: ")
+
+
+def test_all_missing_keys_of_a_part_are_named_at_once():
+    joint = {"axis": [0, 0, 1], "rotor_inertia": 0.1}
+    link = {"shape": "strip", "length": 0.5, "width": 0.04, "thickness": 0.003}
+    plain = {"links": [link], "joints": [joint], "gravity": [0, 0, 0], "stiffness_proportional_damping": 0.0}
+    line = refusal(find_arm, plain)
+    assert line.startswith("arm.joints[0].stiffness, damping: missing; give the keys axis, rotor_inertia, stiffness, ")
+    assert find_arm({**plain, "joints": [{**joint, "stiffness": None, "damping": 0.0}]}).n_joints == 1
