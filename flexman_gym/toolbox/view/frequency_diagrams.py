@@ -142,6 +142,7 @@ def campbell_diagram(model: Model, rates: Vector, path: str | Path, count: int =
     return path
 
 
+REAL = 1e-9  # imaginary part / magnitude of a real response, such as that of a sampled loop at its Nyquist frequency
 _Response = NDArray[np.complex128]
 
 
@@ -163,6 +164,7 @@ class _LoopMargins(NamedTuple):
 
 def _loop_margins(frequencies: Array, response: _Response) -> _LoopMargins:
     """Return the margins of a response (f,) at frequencies (f,), Hz, by linear interpolation."""
+    response = np.where(np.abs(response.imag) < REAL * np.abs(response), response.real, response)
     gain, gain_frequency, phase, phase_frequency = np.nan, np.nan, np.nan, np.nan
     for i in np.flatnonzero(np.diff(np.sign(response.imag)) != 0):
         part = response.imag[i] / (response.imag[i] - response.imag[i + 1])

@@ -160,3 +160,12 @@ def test_a_picture_is_a_png_with_its_pixels(tmp_path):
     frame = np.random.default_rng(0).integers(0, 256, (7, 5, 3)).astype(np.uint8)
     with image.open(write_picture(frame, tmp_path / "new" / "a.png")) as read:
         assert np.array_equal(np.asarray(read), frame)
+
+
+def test_the_gain_margin_of_a_delayed_sampled_loop_is_at_its_nyquist_frequency(drawn, tmp_path):
+    """L = k / z is real there: -k."""
+    places, period = np.geomspace(0.1, 50.0, 400), 0.01
+    figures = drawn(frequency_diagrams)
+    bode_diagram(places, {"one": 0.4 * np.exp(-2j * np.pi * places * period)}, tmp_path / "bode.png")
+    gains, where, *_ = marked_margins(figures[0])
+    assert (gains, where) == (pytest.approx(2.5), pytest.approx(50.0))
