@@ -169,5 +169,5 @@ def test_the_gain_margin_of_a_delayed_sampled_loop_is_at_its_nyquist_frequency(d
     response = 0.4 * np.exp(-2j * np.pi * places * period)
     response[-1] = complex(-0.4, np.copysign(1e-17, response[-2].imag))
     bode_diagram(places, {"one": response}, tmp_path / "bode.png")
-    gains, where, *_ = marked_margins(figures[0])
-    assert (gains, where) == (pytest.approx(2.5), pytest.approx(50.0))
+    (gain,), (place,), *_ = marked_margins(figures[0])
+    assert (gain, place) == pytest.approx((2.5, 50.0))
