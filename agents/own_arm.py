@@ -18,7 +18,7 @@ from flexman_gym.evaluation.rollouts import SELECTION_SEEDS, rollout
 
 ACTIONS_PER_SLEW = 16  # actions of the agent in the median slew of an arm of the user
 SETTLING_TIMES, SLEWS = 2.0, 8.0  # of the base, and median slews, in an episode of the training
-ENTROPY = 0.002  # bonus of the entropy: standard deviations that vanish early leave an arm beyond a limit
+ENTROPY = 0.002  # coefficient of the entropy bonus: without it deviations vanish before the policy avoids limits
 FEWEST_SLEWS = 3.0  # median slews in an episode of the training, at least
 BASE_SEEDS = SELECTION_SEEDS[:20]  # seeds of the episodes in which the base is timed
 
