@@ -38,11 +38,10 @@ MOTOR_STATES = ("held", "free")
 
 def _arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command-line arguments."""
-    from flexman_gym.scene.serialization import ARMS
     from flexman_gym.toolbox.controllers.input_shaping.shaped_motion import AUTO, LIMITS, SCALING
     from flexman_gym.toolbox.controllers.input_shaping.shapers import SHAPERS
 
-    names = f"environment as in flexman evaluate, arm ({', '.join(ARMS)}), or file of an arm or a scene"
+    names = "environment as in flexman evaluate, arm (flexman list arms), or file of an arm or a scene"
     parser.add_argument("subject", help=f"CSV file of the ringing, {names}")
     parser.add_argument("trajectory", type=Path, nargs="?", help="CSV, YAML or JSON file of joint positions over time")
     about = "shaped trajectory, in the form of the given one"
