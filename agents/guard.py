@@ -49,7 +49,8 @@ def guard(folder: str | Path, keep_worse: bool = False) -> str:
         return f"{report}\nThe policy is kept (--keep-worse)"
     data = {"result": BASE, "policy_settled": own, "base_settled": of_base, "reason": reason}
     write_file(result, json.dumps(data, indent=2) + "\n")
-    return f"{report}\nThe result of the run is the base {name}; --keep-worse keeps the policy"
+    keeps = f"flexman train --resume --keep-worse --folder {folder} keeps the policy"
+    return f"{report}\nThe result of the run is the base {name}; {keeps}"
 
 
 def _settled(agent: AgentSpec, environment: Configuration) -> float:

@@ -310,7 +310,6 @@ def resume(
     checkpoint_every = whole_number("checkpoint_every", checkpoint_every, 0, MAX_STEPS)
     settings = Settings.load(folder)
     with lock_folder(folder):
-        (folder / RESULT).unlink(missing_ok=True)  # the guard compares the policy of the continued run
         data = read_npz(folder / NEWEST) if (folder / NEWEST).is_file() else None
         if data is not None:
             check_settings(folder / NEWEST, data, read_settings(folder))
@@ -327,6 +326,7 @@ def resume(
             print(f"Nothing was saved in {folder} yet: the run starts from scratch.", file=sys.stderr)
         else:
             run.set_state(data, finished)
+        (folder / RESULT).unlink(missing_ok=True)  # the guard compares the policy of the continued run
         settings.write(folder, run.done)
         return run.learn(checkpoint_every, progress, hook)
 

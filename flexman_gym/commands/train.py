@@ -65,12 +65,14 @@ def _run(options: argparse.Namespace) -> int:
     from flexman_agents.callbacks import Interrupted
     from flexman_agents.guard import guard
     from flexman_agents.training import resume
-    from flexman_gym.common.run_folder import read_settings
+    from flexman_gym.common.run_folder import has_base_as_result, read_settings
 
     try:
         if options.resume:
             _refuse_settings(options)
-        if options.resume:
+        if options.resume and options.keep_worse and options.steps is None and has_base_as_result(options.folder):
+            folders = [options.folder]  # a finished run, of which only the result changes
+        elif options.resume:
             resume(options.folder, options.steps, eval_every=options.eval_every, **_training_options(options))
             folders = [options.folder]
         else:

@@ -6,8 +6,10 @@ from flexman_agents import guard as module
 from flexman_agents.guard import guard
 from flexman_agents.settings import Settings
 from flexman_agents.training import resume, train
+from flexman_gym.__main__ import main
 from flexman_gym.common.run_folder import RESULT
 from flexman_gym.evaluation.agents import find_agent
+from flexman_gym.toolbox.interchange.policy_export import export_policy
 
 from oracles.assertions import refusal
 
@@ -56,6 +58,17 @@ def test_a_worse_policy_is_kept_on_request_and_a_resumed_run_is_compared_anew(fo
     assert find_agent(str(folder)).law is None
     resume(folder, steps=64, progress=False)
     assert find_agent(str(folder)).law is not None
+
+
+@pytest.mark.slow
+def test_a_base_as_result_stays_until_the_policy_is_kept_and_is_not_exported(folder, shares, tmp_path, capsys):
+    shares(0.1, 0.9)
+    guard(folder)
+    assert "steps: None" in refusal(lambda: resume(folder, progress=False)) and (folder / RESULT).is_file()
+    line = refusal(lambda: export_policy(folder, tmp_path / "policy", "Untrained.", "none"))
+    assert line.startswith("run: ") and "--keep-worse" in line and not (tmp_path / "policy").exists()
+    assert main(["train", "--resume", "--keep-worse", "--folder", str(folder)]) == 0
+    assert "The policy is kept" in capsys.readouterr().out and not (folder / RESULT).exists()
 
 
 @pytest.mark.slow
