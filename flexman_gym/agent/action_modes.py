@@ -1,6 +1,6 @@
 """Action modes: protocol, mode of torques, currents and voltages, and the table of all modes."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import Protocol, runtime_checkable
@@ -80,13 +80,20 @@ class TorqueMode:
         base: controller whose torques are added; None for no base controller.
         strength: fraction of the torque limits at an action of 1, for all joints or for each joint (n,).
         quantity: "torque"; "current" or "voltage" for motor currents or voltages as fractions of their limits.
+        passive: indices of the joints without motor, for which an action has no entry.
     """
 
     def __init__(
-        self, joints: int, base: Controller | None = None, strength: float | Array = 1.0, quantity: str = "torque"
+        self,
+        joints: int,
+        base: Controller | None = None,
+        strength: float | Array = 1.0,
+        quantity: str = "torque",
+        passive: Collection[int] = (),
     ) -> None:
         self._base, self.joints, self.strength = base, joints, strength
-        self.names = tuple(f"{quantity}_{joint + 1}" for joint in range(joints))
+        self.motors = [joint for joint in range(joints) if joint not in passive]
+        self.names = tuple(f"{quantity}_{joint + 1}" for joint in self.motors)
         self.sensors: tuple[object, ...] = tuple(base.sensors) if base else ()
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
@@ -95,13 +102,22 @@ class TorqueMode:
             self._base.reset(arms, episode, count)
 
     def act(self, actions: Array, readings: Readings, applied: Array, active: BoolArray) -> Array:
-        """Return the commanded torques (b, n): the sum of actions (b, n) and torques of the base controller."""
+        """Return the commanded torques (b, n): the sum of actions (b, k) and torques of the base controller."""
+        actions = self._of_joints(actions)
         if isinstance(self.strength, np.ndarray):
             actions = np.clip(actions * self.strength, -1.0, 1.0)
         if self._base is None:
             return actions
         base_torques = np.asarray(self._base.act(readings, applied, active), dtype=np.float64)
         result: Array = np.clip(base_torques + actions, -1.0, 1.0)
+        return result
+
+    def _of_joints(self, actions: Array) -> Array:
+        """Return actions (b, n) with zeros for passive joints."""
+        if len(self.motors) == self.joints:
+            return actions
+        result = np.zeros((len(actions), self.joints))
+        result[:, self.motors] = actions
         return result
 
     def prepare(self, applied: Array, active: BoolArray) -> None:
@@ -121,7 +137,7 @@ class TorqueMode:
 
     def derivatives(self, actions: Array, readings: Readings, changes: Readings) -> Array:
         """Return the derivatives (p, n) of the torques, see `ActionMode`."""
-        change: Array = changes["actions"]
+        actions, change = self._of_joints(actions), self._of_joints(changes["actions"])
         if isinstance(self.strength, np.ndarray):
             actions, change = saturated(actions * self.strength, change * self.strength)
         if self._base is None:
@@ -165,7 +181,13 @@ def _make_motor_input(quantity: str, plant: Plant, base: Controller | None) -> T
     return TorqueMode(len(limits), base, np.array(limits) / plant.torque_limit, quantity)
 
 
-TORQUE = ActionModeEntry(lambda plant, base: TorqueMode(len(plant.torque_limit), base))
+def _make_torques(plant: Plant, base: Controller | None) -> TorqueMode:
+    """Make the mode of motor torques."""
+    passive = np.flatnonzero(plant.model.constants.passive).tolist()
+    return TorqueMode(len(plant.torque_limit), base, passive=passive)
+
+
+TORQUE = ActionModeEntry(_make_torques)
 CURRENT = ActionModeEntry(partial(_make_motor_input, "current"))
 VOLTAGE = ActionModeEntry(partial(_make_motor_input, "voltage"))
 ACTIONS: Registry[ActionModeEntry] = Registry("action-mode", {

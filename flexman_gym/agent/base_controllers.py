@@ -48,6 +48,7 @@ class ControllerEntry:
         arguments: names of the arguments that a mapping may contain.
         description: noun phrase for the league page.
         tuning: origin of the gains.
+        passive: True for a controller that also moves arms with passive joints.
     """
 
     make: Callable[..., Controller]
@@ -55,6 +56,7 @@ class ControllerEntry:
     arguments: tuple[str, ...]
     description: str
     tuning: str = DEFAULT_TUNING
+    passive: bool = False
 
 
 _PLACE = "flexman_gym.toolbox.controllers"
@@ -90,4 +92,7 @@ BASES: Registry[ControllerEntry] = Registry("controller", {
 def make_base(value: object, plant: Plant) -> Controller:
     """Make a base controller, given by name or mapping, for a plant; see `parse_kind`."""
     name, arguments = parse_kind("base", value, BASES)
+    if plant.model.constants.passive.any() and not BASES[name].passive:
+        possible = ", ".join(each for each in BASES if BASES[each].passive)
+        raise value_error("base", name, f"{possible}, or a controller of your own, for an arm with passive joints")
     return BASES[name].make(plant, **arguments)

@@ -79,6 +79,7 @@ class CompiledPeriod:
         """
         return (
             type(mode) is TorqueMode
+            and len(mode.names) == mode.joints
             and not isinstance(mode.strength, np.ndarray)
             and configuration.base is None
             and configuration.lag is None

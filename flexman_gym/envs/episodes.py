@@ -230,6 +230,9 @@ class Episodes:
         parameters = replace_tip_positions(
             parameters | {name: values[arms] for name, values in given.items()}, self.view
         )
+        for name in ("start", "goal_angles"):
+            if name in parameters:
+                parameters[name] = self.view.hanging(parameters[name])
         self._set_goal(arms, parameters)
         start = self.view.rest_states(parameters["start"])
         if self.effects is not None:

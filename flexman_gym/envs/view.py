@@ -43,7 +43,8 @@ class View:
         state: (b, 2 d) generalised coordinates and their rates, in the order of `kernels.layout`.
         joint_angles: (b, n) angles of the link side of the joints, rad.
         joint_rates: (b, n) rates of the joint angles, rad/s.
-        motor_angles: (b, n) angles of the rotors after the gears, rad; equal to the joint angles for rigid joints.
+        motor_angles: (b, n) angles of the rotors after the gears, rad; equal to the joint angles for rigid and
+            passive joints.
         motor_rates: (b, n) rates of the motor angles, rad/s.
         joint_twists: (b, n) elastic deflections of the joints: motor angles minus link-side angles, rad.
         joint_twist_rates: (b, n) rates of the joint twists, rad/s.
@@ -195,6 +196,14 @@ class View:
     def rest_states(self, postures: Array) -> Array:
         """Return the equilibrium states (r, 2 d) of the arm at rest under gravity at motor angles (r, n), rad."""
         return rest_state(self._batch.model, postures)
+
+    def hanging(self, postures: Array) -> Array:
+        """Return angles (r, n) of motors and passive joints at rest under gravity, for motor angles (r, n), rad."""
+        model = self._batch.model
+        if not model.constants.passive.any():
+            return postures
+        result: Array = self.rest_states(postures)[:, model.motor_columns]
+        return result
 
     def rigid_tips(self, postures: Array) -> Array:
         """Return the tip positions (r, 3), m, base frame, of the undeformed arm at joint angles (r, n), rad.

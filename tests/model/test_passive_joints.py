@@ -1,13 +1,11 @@
 """Tests of passive joints: eigenvalues of a chain of inertias, period of a pendulum, energy, equilibrium and orders."""
 
-import gymnasium as gym
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import eigh, expm
 
 import flexman_gym as fm
-from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.model.state_space import natural_modes
 from flexman_gym.model.statics import rest_tips
 from flexman_gym.model.vibration import rotating_frequencies
@@ -348,16 +346,3 @@ def test_swing_of_a_hanging_load_is_among_the_modes_that_a_motor_excites():
     found = excited_modes(model, posture, held=True)
     assert found[0, 0] == pytest.approx(fm.modes(model, posture).frequencies[0])
     assert found[0, 2] > 0.1  # m, after a step of the motor by 1 rad
-
-
-@pytest.mark.parametrize("stiffness", [None, 2.0])
-@pytest.mark.parametrize("settings", [{}, {"torque_limit": (1.0, 1.0)}, {"base": "lqr"}, {"fidelity": "auto"}], ids=str)
-def test_environment_with_a_passive_joint_is_refused_for_the_missing_motor(settings, stiffness):
-    joints = [fm.Joint(Z, rotor_inertia=0.01, torque_limit=1.0), fm.Joint(Z, passive=True, stiffness=stiffness)]
-    arm = fm.Arm([fm.Link.rod(0.5, 0.01, material="steel")] * 2, joints)
-    for make in (
-        lambda: gym.make("FlexPlanar-v0", arm=arm, **settings),
-        lambda: Configuration("FlexOne-v0", {"arm": arm}),
-    ):
-        line = refusal(make)
-        assert line.startswith("arm.joints[1].passive: True is not allowed; give an arm with a motor at each joint")

@@ -89,6 +89,9 @@ def _fact_rows(configuration: Configuration, facts: ArmFacts) -> Iterator[tuple[
         yield f"frequencies, motors {name}", f"{_numbers(values)} Hz" if values else "none: rigid"
     for i, (share, posture) in enumerate(zip(facts.holding, facts.postures, strict=True)):
         limit = configuration.torque_limit[i]
+        if configuration.arm.joints[i].passive:
+            yield f"joint {i + 1}", "passive: no motor, its angle follows from the motion"
+            continue
         place = f", at {np.round(posture, 2).tolist()} rad" if share > 0.005 else ""
         yield f"joint {i + 1} holds", f"{share:.0%} of its torque limit, {limit:.4g} N m{place}"
     speeds = ", ".join("none" if each is None else f"{each:.3g}" for each in motor_speeds(configuration.arm))

@@ -81,11 +81,12 @@ def _facts(plain: str, torque_limit: tuple[float, ...], span: tuple[float, float
     arm = find_arm(json.loads(plain))
     model, limits, n = build_model(arm, elements=2), np.array(torque_limit), arm.n_joints
     random = np.random.default_rng(SEED)
-    starts = random.uniform(-span[0], span[0], (SLEWS, n))
-    changes = random.uniform(-span[1], span[1], (SLEWS, n))
+    motors = np.array([not joint.passive for joint in arm.joints])
+    starts = random.uniform(-span[0], span[0], (SLEWS, n)) * motors
+    changes = random.uniform(-span[1], span[1], (SLEWS, n)) * motors
     ends = np.stack([starts, starts + changes], axis=1)
     torques = np.abs([[holding_torques(model, posture) for posture in pair] for pair in ends])
-    shares = torques / limits
+    shares = np.divide(torques, limits, out=np.zeros_like(torques), where=motors)
     _check_holding(shares, ends, limits)
     largest = shares.reshape(-1, n).argmax(axis=0)
     held, free = (tuple(modes(model, motors=each).frequencies[:SHOWN].tolist()) for each in ("held", "free"))
@@ -130,7 +131,8 @@ def _torque_durations(model: Model, limits: Array, slews: tuple[Array, Array], h
     for start, change, weight in zip(*slews, holding, strict=True):
         inertia = slew_inertia(model, start + change / 2.0)
         free = np.maximum(TORQUE_SHARE * limits - weight, (1.0 - TORQUE_SHARE) * limits)
-        result.append(np.sqrt((PEAK_ACCELERATION * np.abs(inertia @ change) / free).max()))
+        needed = PEAK_ACCELERATION * np.abs(inertia @ change)
+        result.append(np.sqrt((needed[limits > 0.0] / free[limits > 0.0]).max()))
     return np.array(result)
 
 

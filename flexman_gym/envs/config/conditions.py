@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from flexman_gym.agent.pd import torque_limits
+from flexman_gym.agent.pd import arm_torque_limits
 from flexman_gym.envs.config.arm_settings import arm_facts
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS, condition_settings
 from flexman_gym.scene.arm import Arm
@@ -41,10 +41,9 @@ def condition_for_arm(id: str, condition: object, arm: Arm, torque_limit: Any = 
     settings, named = condition_settings(id, condition), NAMED_ENVIRONMENTS[id].arm
     settings.pop("gains", None)
     settings.pop("settings", None)
-    given = [joint.torque_limit for joint in arm.joints] if torque_limit is None else torque_limit
-    limits = torque_limits("torque_limit", given, arm.n_joints)
+    limits = arm_torque_limits(arm, torque_limit)
     usual = [float(joint.torque_limit or 1.0) for joint in named.joints]
-    torque = np.mean(limits) / np.mean(usual)
+    torque = np.mean([limit for limit in limits if limit]) / np.mean(usual)
     rate = arm_facts(arm, limits).rate / arm_facts(named, usual).rate
     payload = usual_payload(arm) / NAMED_ENVIRONMENTS[id].usual_payload
     ratios = {"payload_mass": payload, "ripple_torque": torque} | dict.fromkeys(RATES, rate)
@@ -93,6 +92,9 @@ def _worn_joints(
     rippling = [joint.motor.ripple_cycles for joint in after.joints if joint.motor and joint.motor.ripple_cycles]
     joints = []
     for i, (joint, limit) in enumerate(zip(arm.joints, limits, strict=True)):
+        if joint.passive:
+            joints.append(joint)
+            continue
         own: dict[str, Any] = {}
         missing = [name for name in shares if not getattr(joint, name)]
         own |= {name: float(shares[name] * limit) / (rate if name == "viscous_friction" else 1.0) for name in missing}

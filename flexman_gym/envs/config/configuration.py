@@ -5,7 +5,7 @@ from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NoReturn, Self
 
-from flexman_gym.agent.pd import torque_limits
+from flexman_gym.agent.pd import arm_torque_limits
 from flexman_gym.common import files
 from flexman_gym.common.checks import mapping, one_of, positive, sequence, text, vector
 from flexman_gym.common.errors import key_error, keyword_error, nearest, unknown_name, value_error
@@ -103,12 +103,18 @@ class Configuration(EnvironmentSettings):
         return "\n".join(lines)
 
     def _check_joints(self) -> None:
-        """Check that each joint has a motor, and store the torque limits."""
-        for i, joint in enumerate(self.arm.joints):
-            if joint.passive:
-                allowed = "an arm with a motor at each joint: the actions of an environment are torques of all joints"
-                raise value_error(f"arm.joints[{i}].passive", True, allowed)
-        vars(self)["torque_limit"] = self._torque_limits()
+        """Check what passive joints exclude, and store the torque limits."""
+        passive = [joint.passive for joint in self.arm.joints]
+        if all(passive):
+            raise value_error("arm.joints", "passive joints", "at least one joint with a motor")
+        if any(passive):
+            because = f": joint {passive.index(True) + 1} of the arm is passive"
+            if self.task.moves:
+                raise value_error("task", self.task, f"a task whose goal rests{because}")
+            for name, usual in (("safety", False), ("actions", "torque")):
+                if getattr(self, name) != usual:
+                    raise value_error(name, getattr(self, name), f"{usual!r}{because}")
+        vars(self)["torque_limit"] = arm_torque_limits(self.arm, self.torque_limit)
 
     def _derive_settings(self) -> dict[str, Any]:
         """Return the missing settings that follow from an arm of the user."""
@@ -149,17 +155,6 @@ class Configuration(EnvironmentSettings):
             if getattr(self, name) != SETTINGS[name].default:
                 raise value_error(name, getattr(self, name), 'nothing: fidelity="auto" chooses it')
         positive("tolerance", self.tolerance, 'm, for fidelity="auto"')
-
-    def _torque_limits(self) -> tuple[float, ...]:
-        """Return the setting torque_limit, by default the torque limits of the joints, N m."""
-        given: Any = self.torque_limit
-        arm, of_joints = self.arm, [joint.torque_limit for joint in self.arm.joints]
-        if given is not None:
-            return torque_limits("torque_limit", given, arm.n_joints)
-        if None in of_joints:
-            allowed = "one number (N m), or one for each joint: the joints of this arm have no torque_limit"
-            raise value_error("torque_limit", None, allowed)
-        return torque_limits("torque_limit", of_joints, arm.n_joints)
 
     @classmethod
     def from_keywords(cls, keywords: Mapping[str, Any], others: Collection[str] = ()) -> "Configuration":

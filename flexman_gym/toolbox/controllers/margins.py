@@ -35,9 +35,10 @@ class SampledLoop(NamedTuple):
         transition: (m, m) state matrix; the state x consists of coordinates, rates and delayed torques. Rows and
             columns of sticking motors are zero.
         inputs: (m, n) input matrix.
-        motors: (n,) columns of the motor angles in x.
+        motors: (n,) columns of the motor angles in x; n motors, without passive joints.
         rates: (n,) columns of the motor rates in x.
         stuck: indices, from 0, of the joints with sticking motors.
+        joints: indices, from 0, of the n joints with motors among all joints.
     """
 
     transition: Array
@@ -45,6 +46,7 @@ class SampledLoop(NamedTuple):
     motors: Array
     rates: Array
     stuck: tuple[int, ...] = ()
+    joints: tuple[int, ...] = ()
 
     def spectral_radius(self, stiffness: Vector, damping: Vector) -> float:
         """Return the spectral radius of the loop closed by a PD; below 1 the loop is stable."""
@@ -113,8 +115,8 @@ def _at_rest(model: Model, joint_angles: Vector) -> LinearModel:
 
 def _stuck_sets(model: Model) -> Iterator[tuple[int, ...]]:
     """Yield the sets of joints whose motors may stick, the empty set first and the set of all joints excluded."""
-    frictional = np.flatnonzero(model.constants.coulomb_friction > 0.0).tolist()
-    for count in range(min(len(frictional) + 1, model.n_joints)):
+    frictional = np.flatnonzero((model.constants.coulomb_friction > 0.0) & (model.constants.passive == 0)).tolist()
+    for count in range(min(len(frictional) + 1, len(model.driven_columns))):
         yield from combinations(frictional, count)
 
 
@@ -122,8 +124,8 @@ def _loop(
     model: Model, linear: LinearModel, stuck: tuple[int, ...], period: float, delay: int, bandwidth: float | None
 ) -> SampledLoop:
     """Return the sampled loop of a linear model with the sticking motors clamped."""
-    motors, n, d = model.motor_columns, model.n_joints, model.n_dof
-    columns = motors[list(stuck)]
+    motors, n, d = model.driven_columns, len(model.driven_columns), model.n_dof
+    columns = model.motor_columns[list(stuck)]
     clamped = np.concatenate([columns, d + columns])
     sampled = (_clamped(linear, columns) if stuck else linear).discrete(period, delay * period)
     delayed, entry = sampled.A, sampled.B
@@ -132,7 +134,7 @@ def _loop(
         remaining, mean = first_order_lag(period, bandwidth)
         delayed = np.block([[delayed, mean * entry], [np.zeros((n, len(delayed))), remaining * np.eye(n)]])
         entry = np.vstack([(1.0 - mean) * entry, (1.0 - remaining) * np.eye(n)])
-    return SampledLoop(delayed, entry, motors, d + motors, stuck)
+    return SampledLoop(delayed, entry, motors, d + motors, stuck, tuple(np.flatnonzero(model.constants.passive == 0)))
 
 
 def _clamped(linear: LinearModel, columns: IntArray) -> LinearModel:
@@ -185,8 +187,10 @@ def describe_stuck_motors(stuck: Sequence[int]) -> str:
 
 
 def _gain(loop: SampledLoop, stiffness: Vector, damping: Vector) -> Array:
-    """Return the gain (n, m) of a PD for the state of a loop."""
+    """Return the gain (n, m) of a PD for the state of a loop; its gains are those of the n motors, or of all joints."""
     n, gain = loop.inputs.shape[1], np.zeros(loop.inputs.T.shape)
+    if len(stiffness) != n:
+        stiffness, damping = (np.asarray(each)[list(loop.joints)] for each in (stiffness, damping))
     gain[np.arange(n), loop.motors], gain[np.arange(n), loop.rates] = stiffness, damping
     return gain
 

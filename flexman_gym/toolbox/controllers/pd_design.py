@@ -78,8 +78,10 @@ def design_pd(configuration: Configuration) -> dict[str, tuple[float, ...]]:
         gains = PDDesign(environment).gains()
     else:
         gains = _stored_gains(plain)
-    stiffness, damping = np.split(gains, 2)
-    return {"stiffness": tuple(stiffness.tolist()), "damping": tuple(damping.tolist())}
+    of_motors, motors = np.split(gains, 2), [not joint.passive for joint in environment.arm.joints]
+    result = np.zeros((2, len(motors)))  # passive joints have no gains
+    result[:, motors] = of_motors
+    return {"stiffness": tuple(result[0].tolist()), "damping": tuple(result[1].tolist())}
 
 
 @lru_cache(maxsize=64)
@@ -160,33 +162,36 @@ class PDDesign:
         timing = self._period, environment.max_delay, environment.drive_bandwidth
         of_posture = [sampled_loops(model, posture, *timing) for posture in postures]
         self.loops = [loop for loops in zip(*of_posture, strict=True) for loop in loops]
-        sliding, n = self.loops[: len(postures)], model.n_joints
+        sliding, joints = self.loops[: len(postures)], np.flatnonzero(model.constants.passive == 0)
         self._transition, self._inputs = (np.stack([loop[i] for loop in sliding]) for i in (0, 1))
         self._columns = sliding[0].motors, sliding[0].rates
         self._doublings = max(1, int(np.ceil(np.log2(environment.horizon / self._period))))
-        holding = np.array([holding_torques(model, posture) for posture in postures])
+        torques = np.array([holding_torques(model, posture) for posture in postures])
         states = [rest_state(model, posture) for posture in postures]
-        linear = [linearize(model, state=x, torque=torque) for x, torque in zip(states, holding, strict=True)]
-        size, unit = self._transition.shape[1], model.at_rest(np.eye(n))
-        self._tips, self._releases = np.zeros((len(postures), 3, size)), np.zeros((n, size))
+        linear = [linearize(model, state=x, torque=torque) for x, torque in zip(states, torques, strict=True)]
+        size, unit = self._transition.shape[1], model.at_rest(np.eye(model.n_joints)[joints])
+        self._tips, self._releases = np.zeros((len(postures), 3, size)), np.zeros((len(joints), size))
         self._tips[:, :, : unit.shape[1]] = [each.C[:3] / model.constants.length.sum() for each in linear]  # reaches
         self._releases[:, : unit.shape[1]] = RELEASE * unit
         sensitivity = np.linalg.norm(self._tips @ self._releases.T, axis=1) / RELEASE  # (p, n) reaches per radian
-        self._friction = sensitivity * model.constants.coulomb_friction / np.sqrt(3.0)  # uniform rest of the error
-        self._bound(model, states, holding)
+        self._friction = (
+            sensitivity * model.constants.coulomb_friction[joints] / np.sqrt(3.0)
+        )  # uniform rest of the error
+        self._bound(model, states, torques[:, joints])
 
     def _bound(self, model: Model, states: Sequence[Array], holding: Array) -> None:
         """Compute the bounds of the gains and the scales of the first candidates from the rest states at the goals."""
-        limits, n, motors = np.array(self._environment.torque_limit), model.n_joints, model.motor_columns
+        joints, motors = np.flatnonzero(model.constants.passive == 0), model.driven_columns
+        limits = np.array(self._environment.torque_limit)[joints]
         masses = [mass_matrix(model, state) for state in states]
         diagonals = np.array([np.diag(mass) for mass in masses])
-        inertias = diagonals[:, :n] + np.where(motors == np.arange(n), 0.0, diagonals[:, motors])
+        inertias = diagonals[:, joints] + np.where(motors == joints, 0.0, diagonals[:, motors])
         rotors = np.min([1.0 / np.diag(np.linalg.inv(mass))[motors] for mass in masses], axis=0)
         free = np.maximum(limits - np.abs(holding), LEAST_TORQUE * limits)
         self._inertia = inertias.max(axis=0)
         self._saturating = np.sqrt((free.min(axis=0) / (RELEASE * self._inertia)).min())  # rad/s
         self._braking = np.sqrt((2.0 * free / (inertias * SLEW)).min(axis=0))  # 1/s; largest stiffness / damping
-        self._least = WEIGHT_FACTOR * weight_stiffness(model)
+        self._least = WEIGHT_FACTOR * weight_stiffness(model)[joints]
         self._most = np.maximum(MAX_STIFFNESS * limits, 2.0 * self._least)
         self._max_damping = stability_limit(self._environment.max_delay) * rotors / (MIN_MARGINS.gain * self._period)
 
