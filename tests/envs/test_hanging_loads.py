@@ -1,5 +1,7 @@
 """Environments of arms with passive joints, such as a load that hangs: actions, goals, gains and refusals."""
 
+from dataclasses import replace
+
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -136,3 +138,18 @@ def test_an_arm_without_motors_is_refused():
 def test_a_description_names_passive_joints():
     lines = str(fm.describe(crane()))
     assert lines.count("passive: no motor") == 2 and "joint 1 holds" in lines
+
+
+@pytest.mark.slow
+@pytest.mark.feature
+def test_a_policy_is_trained_and_evaluated_with_the_actions_of_the_motors(tmp_path):
+    pytest.importorskip("stable_baselines3")
+    from flexman_agents.guard import guard
+    from flexman_agents.own_arm import fit_to_arm
+    from flexman_agents.settings import find_recipe
+    from flexman_agents.training import train
+
+    settings = fit_to_arm(find_recipe("ppo_on_pd_minute"), crane())
+    train(replace(settings, steps=2000, envs=4), tmp_path / "run", progress=False)
+    assert "its base pd" in guard(tmp_path / "run", keep_worse=True)
+    assert np.isfinite(fm.evaluate(str(tmp_path / "run"), settings.environment, seeds=range(2))["reward"])
