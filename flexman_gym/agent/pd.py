@@ -10,11 +10,9 @@ from flexman_gym.agent.base_controllers import ControllerEntry
 from flexman_gym.agent.controller import EpisodeInfo, Plant, Readings, saturated
 from flexman_gym.common.arrays import Array, BoolArray, IntArray, Vector, pad_rows
 from flexman_gym.common.checks import non_negative, physical, vector
-from flexman_gym.common.errors import value_error
 from flexman_gym.model.dynamics import mass_matrix
 from flexman_gym.model.model import Model, check_model
 from flexman_gym.model.statics import holding_torques
-from flexman_gym.scene.arm import Arm
 
 NO_MOTOR = 1e30  # N m; torque limit by which a passive joint has an action of zero
 
@@ -154,29 +152,6 @@ def torque_limits(name: str, value: object, joints: int) -> tuple[float, ...]:
         return (physical(name, value, "N m"),) * joints
     limits = vector(name, value, joints, "N m")
     return tuple(physical(f"{name}[{i}]", limit, "N m") for i, limit in enumerate(limits))
-
-
-def arm_torque_limits(arm: Arm, given: Any = None) -> tuple[float, ...]:
-    """Return the torque limits (n,) of the joints of an arm, N m; 0 for passive joints.
-
-    Args:
-        arm: the arm.
-        given: one number for all motors, a number for each motor, or for each joint, N m; None for the limits of the
-            joints.
-
-    Raises:
-        ValueError: for numbers that are not allowed, and for a motor without a limit.
-    """
-    motors = [i for i, joint in enumerate(arm.joints) if not joint.passive]
-    if given is None:
-        given = [arm.joints[i].torque_limit for i in motors]
-        if None in given:
-            allowed = "one number (N m), or one for each joint: the joints of this arm have no torque_limit"
-            raise value_error("torque_limit", None, allowed)
-    elif isinstance(given, list | tuple | np.ndarray) and len(given) == arm.n_joints:
-        given = [given[i] for i in motors]
-    limits = dict(zip(motors, torque_limits("torque_limit", given, len(motors)), strict=True))
-    return tuple(limits.get(i, 0.0) for i in range(arm.n_joints))
 
 
 def make_pd(plant: Plant, **gains: Any) -> PD:

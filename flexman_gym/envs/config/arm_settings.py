@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from flexman_gym.agent.pd import torque_limits
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.errors import value_error
 from flexman_gym.envs.limits import Limits
@@ -147,6 +148,29 @@ def slew_inertia(model: Model, posture: Array) -> Array:
 def motor_speeds(arm: Arm) -> list[float | None]:
     """Return the largest speed of each motor at its joint, rad/s; None for a motor without a limit of its speed."""
     return [None if joint.motor is None else joint.motor.joint_speed_limit for joint in arm.joints]
+
+
+def arm_torque_limits(arm: Arm, given: Any = None) -> tuple[float, ...]:
+    """Return the torque limits (n,) of the joints of an arm, N m; 0 for passive joints.
+
+    Args:
+        arm: the arm.
+        given: one number for all motors, a number for each motor, or for each joint, N m; None for the limits of the
+            joints.
+
+    Raises:
+        ValueError: for numbers that are not allowed, and for a motor without a limit.
+    """
+    motors = [i for i, joint in enumerate(arm.joints) if not joint.passive]
+    if given is None:
+        given = [arm.joints[i].torque_limit for i in motors]
+        if None in given:
+            allowed = "one number (N m), or one for each joint: the joints of this arm have no torque_limit"
+            raise value_error("torque_limit", None, allowed)
+    elif isinstance(given, list | tuple | np.ndarray) and len(given) == arm.n_joints:
+        given = [given[i] for i in motors]
+    limits = dict(zip(motors, torque_limits("torque_limit", given, len(motors)), strict=True))
+    return tuple(limits.get(i, 0.0) for i in range(arm.n_joints))
 
 
 def derived_settings(arm: Arm, torque_limit: Sequence[float], span: tuple[float, float]) -> dict[str, Any]:

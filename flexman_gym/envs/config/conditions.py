@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from flexman_gym.agent.pd import arm_torque_limits
-from flexman_gym.envs.config.arm_settings import arm_facts
+from flexman_gym.envs.config.arm_settings import arm_facts, arm_torque_limits
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS, condition_settings
 from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.joint import Joint, Motor

@@ -5,14 +5,12 @@ from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NoReturn, Self
 
-from flexman_gym.agent.pd import arm_torque_limits
 from flexman_gym.common import files
 from flexman_gym.common.checks import mapping, one_of, positive, sequence, text, vector
 from flexman_gym.common.errors import key_error, keyword_error, nearest, unknown_name, value_error
 from flexman_gym.common.formatting import text_fields
 from flexman_gym.common.registry import load_entry
-from flexman_gym.envs.config.arm_settings import derived_settings
-from flexman_gym.envs.config.conditions import condition_for_arm
+from flexman_gym.envs.config.arm_settings import arm_torque_limits, derived_settings
 from flexman_gym.envs.config.named_environments import (
     DEFAULT_ID,
     NAMED_ENVIRONMENTS,
@@ -431,6 +429,8 @@ def _of_condition(id: str, condition: object, given: dict[str, Any], folder: Pat
     if given.get("arm") is not None:
         arm, named = find_arm(given["arm"], folder), NAMED_ENVIRONMENTS[one_of("id", id, NAMED_ENVIRONMENTS)].arm
         if (arm.links, arm.joints) != (named.links, named.joints):
+            from flexman_gym.envs.config.conditions import condition_for_arm
+
             return condition_for_arm(id, condition, arm, given.get("torque_limit")), True
     return condition_settings(id, condition), False
 
