@@ -11,8 +11,10 @@ from flexman_gym.model.statics import rest_tips
 from flexman_gym.model.vibration import rotating_frequencies
 
 from oracles.assertions import refusal
+from oracles.dense import Chain, LinkModel
 
 Y, Z = (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
+HANGING = ((0.0, 0.0, 1.0), (0.0, 1.0, 0.0), (-1.0, 0.0, 0.0))
 CHOICE, FLEXIBLE = fm.ModelChoice(False, 1, rotary_inertia=False), fm.ModelChoice(True, 1)
 REST = fm.Initial((0.0, 0.0), (0.0, 0.0))
 pytestmark = pytest.mark.filterwarnings("ignore:.*radius of gyration")
@@ -178,9 +180,8 @@ def hanging_load(mass, rope, flexible=False, spring=None, axes=((0.0, 1.0, 0.0),
 
     At zero angles the rope points down. Link frames are parallel to the base there, with gravity along -z.
     """
-    down = ((0.0, 0.0, 1.0), (0.0, 1.0, 0.0), (-1.0, 0.0, 0.0))
     hook, thin = fm.Link.rigid(1e-9, 1e-9, (0.0, 0.0, 0.0), np.eye(3) * 1e-12), np.eye(3) * 1e-9
-    line = fm.Link.rigid(rope, 1e-9, (rope / 2.0, 0.0, 0.0), thin, orientation=down)
+    line = fm.Link.rigid(rope, 1e-9, (rope / 2.0, 0.0, 0.0), thin, orientation=HANGING)
     joints = [fm.Joint((0.0, -1.0, 0.0), rotor_inertia=10.0, stiffness=1e5, torque_limit=1e4),
               *(fm.Joint(axis, passive=True, stiffness=spring) for axis in axes)]  # fmt: skip
     boom = fm.Link.tube(2.0, 0.1, 0.004, "steel")
@@ -229,9 +230,8 @@ def test_small_swing_of_two_hanging_masses_has_the_frequencies_of_a_double_pendu
 
 def pendulum_on_a_base(length):
     """Return the arm of a point mass on a massless rod that hangs at a zero angle, and the index of its joint."""
-    down = ((0.0, 0.0, 1.0), (0.0, 1.0, 0.0), (-1.0, 0.0, 0.0))
     block = fm.Link.rigid(1e-9, 1.0, (0.0, 0.0, 0.0), np.eye(3))
-    rod = fm.Link.rigid(length, 2.0, (length, 0.0, 0.0), np.eye(3) * 1e-13, orientation=down)
+    rod = fm.Link.rigid(length, 2.0, (length, 0.0, 0.0), np.eye(3) * 1e-13, orientation=HANGING)
     joints = [fm.Joint((1.0, 0.0, 0.0), rotor_inertia=1.0, torque_limit=1.0), fm.Joint(Y, passive=True)]
     return fm.Arm([block, rod], joints, gravity=(0.0, 0.0, -9.81))
 
@@ -346,3 +346,36 @@ def test_swing_of_a_hanging_load_is_among_the_modes_that_a_motor_excites():
     found = excited_modes(model, posture, held=True)
     assert found[0, 0] == pytest.approx(fm.modes(model, posture).frequencies[0])
     assert found[0, 2] > 0.1  # m, after a step of the motor by 1 rad
+
+
+@pytest.mark.slow
+def test_a_load_on_a_flexible_boom_moves_as_in_the_independent_lagrangian():
+    """Two seconds on a base that accelerates, under a torque and a force on the load; rope and hook are rigid."""
+    boom = fm.Link.rod(2.0, 0.05)
+    hook, rope = fm.Link.rod(0.05, 0.02), fm.Link.rod(1.0, 0.008, "steel", orientation=HANGING)
+    drive = fm.Joint((0.0, -1.0, 0.0), rotor_inertia=3.0, stiffness=8000.0, damping=20.0, torque_limit=1e3)
+    joints = [drive, *(fm.Joint(axis, passive=True, viscous_friction=0.3) for axis in (Y, (1.0, 0.0, 0.0)))]
+    arm = fm.Arm([boom, hook, rope], joints, fm.Payload(8.0), gravity=(0.0, 0.0, -9.81),
+                 stiffness_proportional_damping=1e-4)  # fmt: skip
+    flexible = (True, False, False)
+    model = fm.build_model(arm, 2, 2, flexible_links=flexible)
+    chain = Chain(arm, 2, flexible, True, [LinkModel(model.bases[0]), LinkModel(), LinkModel()])
+    angles = (0.4, 0.6, -0.1)
+    torque, force = fm.holding_torques(model, [0.4, 0.0, 0.0]) * (1.0, 0.0, 0.0) + (25.0, 0.0, 0.0), (4.0, -3.0, 2.0)
+    sway, d = fm.Signal(amplitude=1.5, frequency_hz=0.6), model.n_dof
+    times = np.linspace(0.0, 2.0, 9)
+
+    def rates(time, state):
+        shake = np.array([1.5 * np.sin(1.2 * np.pi * time), 0.0, 0.0])
+        return np.concatenate([state[d:], chain.acceleration(state[:d], state[d:], torque, np.array(force), shake)])
+
+    start = model.initial_state(np.array(angles))
+    exact = solve_ivp(rates, (0.0, 2.0), start, "DOP853", times, rtol=1e-10, atol=1e-12).y.T
+    scene = fm.Scene(arm, fm.ModelChoice(flexible, 2), fm.ConstantTorque(tuple(torque)),
+                     fm.Initial(angles, (0.0,) * 3), duration=2.0, output_step=0.25,
+                     tip_force=[fm.Signal(offset=each) for each in force],
+                     base_acceleration=[sway, fm.Signal(), fm.Signal()])  # fmt: skip
+    run = fm.simulate(scene, model, method="dop853", rtol=1e-10, atol=1e-12)
+    tips = np.array([chain.tip(state[:d]) for state in exact])
+    np.testing.assert_allclose(run.tip, tips, atol=1e-8)
+    assert np.ptp(run.tip, axis=0).max() > 0.5
