@@ -162,12 +162,13 @@ def arm_torque_limits(arm: Arm, given: Any = None) -> tuple[float, ...]:
         ValueError: for numbers that are not allowed, and for a motor without a limit.
     """
     motors = [i for i, joint in enumerate(arm.joints) if not joint.passive]
+    several = isinstance(given, list | tuple) or (isinstance(given, np.ndarray) and given.ndim > 0)
     if given is None:
         given = [arm.joints[i].torque_limit for i in motors]
         if None in given:
             allowed = "one number (N m), or one for each joint: the joints of this arm have no torque_limit"
             raise value_error("torque_limit", None, allowed)
-    elif isinstance(given, list | tuple | np.ndarray) and len(given) == arm.n_joints:
+    elif several and len(given) == arm.n_joints:
         given = [given[i] for i in motors]
     limits = dict(zip(motors, torque_limits("torque_limit", given, len(motors)), strict=True))
     return tuple(limits.get(i, 0.0) for i in range(arm.n_joints))
