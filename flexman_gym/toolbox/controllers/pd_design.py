@@ -174,9 +174,8 @@ class PDDesign:
         self._tips[:, :, : unit.shape[1]] = [each.C[:3] / model.constants.length.sum() for each in linear]  # reaches
         self._releases[:, : unit.shape[1]] = RELEASE * unit
         sensitivity = np.linalg.norm(self._tips @ self._releases.T, axis=1) / RELEASE  # (p, n) reaches per radian
-        self._friction = (
-            sensitivity * model.constants.coulomb_friction[joints] / np.sqrt(3.0)
-        )  # uniform rest of the error
+        # uniform rest of the error
+        self._friction = sensitivity * model.constants.coulomb_friction[joints] / np.sqrt(3.0)
         self._bound(model, states, torques[:, joints])
 
     def _bound(self, model: Model, states: Sequence[Array], holding: Array) -> None:

@@ -78,9 +78,8 @@ class TorqueFeedbackPD:
         self._motor_inertia = 1.0 / np.diag(np.linalg.inv(masses[0]))[model.motor_columns]
         self._spring = np.where(model.constants.motor >= 0, model.constants.joint_stiffness, 0.0)
         self._holding_factor = np.where(self._spring > 0.0, 1.0 - tuning.feedback, 1.0)
-        carried = 1.0 + (self._holding_factor * inertia / self._motor_inertia).max(
-            axis=1
-        )  # (classes,), inertia / motor's
+        # (classes,) inertia that the motor of the slowest joint turns with torque feedback / inertia of this motor
+        carried = 1.0 + (self._holding_factor * inertia / self._motor_inertia).max(axis=1)
         largest = RIGID_RATE * (carried / scales).max() * self._motor_inertia
         self._damping = np.minimum(tuning.damping * self._motor_inertia / self._period, largest)
         self._stiffness = tuning.stiffness * self._damping / scales[:, None]

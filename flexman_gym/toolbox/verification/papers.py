@@ -83,7 +83,7 @@ def catalog_rows() -> Iterator[VerificationRow]:
 def _elastic_joint_rows() -> Iterator[VerificationRow]:
     """Yield squared frequencies, rad^2/s^2, of the flexible link on an elastic joint, in its plane.
 
-    The numbers of elements are the fewest with which the printed digits are met.
+    With these numbers of elements the printed digits are met; 3, 17 and 31 elements are the fewest.
     """
     for elements, number, text in ((8, 1, "34.14"), (24, 2, "1383.24"), (32, 3, "11084.49")):
         model = build_model(catalog.rome_elastic_joint(), elements)
