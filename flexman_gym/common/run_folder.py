@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from flexman_gym.common.errors import key_error
+from flexman_gym.common.errors import key_error, value_error
 from flexman_gym.common.files import existing_file, naming, open_arrays, reading, regular_file, write_atomically
 
 SETTINGS, NEWEST, BEST, LOCK = "settings.json", "newest.npz", "best.npz", "lock"
@@ -29,7 +29,11 @@ def policy_file(folder: Path) -> Path:
 
     Raises:
         FileNotFoundError: if the folder has neither.
+        ValueError: for a run whose result is its base controller.
     """
+    if has_base_as_result(folder):
+        keeps = f"flexman train --resume --keep-worse --folder {folder} keeps the policy"
+        raise value_error("run", str(folder), f"a run whose result is a policy, not its base controller; {keeps}")
     return folder / BEST if (folder / BEST).is_file() else existing_file(folder / NEWEST)
 
 

@@ -12,7 +12,7 @@ from flexman_gym.common.arrays import Array
 from flexman_gym.common.computer import optional_module
 from flexman_gym.common.errors import value_error
 from flexman_gym.common.files import write_file
-from flexman_gym.common.run_folder import has_base_as_result, policy_file, read_npz, read_settings
+from flexman_gym.common.run_folder import policy_file, read_npz, read_settings
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation.agent_info import training_seconds
 from flexman_gym.evaluation.agent_spec import AgentSpec, split_interface
@@ -47,9 +47,6 @@ def export_policy(
     if folder.exists():
         raise value_error("folder", str(folder), "a new one")
     settings = read_settings(run)
-    if has_base_as_result(run):
-        keeps = f"flexman train --resume --keep-worse --folder {run} keeps the policy"
-        raise value_error("run", str(run), f"a run whose result is a policy, not its base controller; {keeps}")
     path = policy_file(run)
     data = read_npz(path)
     check_settings(path, data, settings)
