@@ -9,6 +9,7 @@ call passes tables of addresses instead of arrays, which saves microseconds.
 from flexman_gym.kernels.arguments import constants_of, work_of
 from flexman_gym.kernels.compile import inner, released
 from flexman_gym.kernels.control_period import NOT_DONE, finish_period, start_period
+from flexman_gym.kernels.foundation import evaluate_foundation, evaluate_foundation_end, load_foundation
 from flexman_gym.kernels.implicit import converged_step, gauss_step, midpoint_step
 from flexman_gym.kernels.lanes import extract_lane, insert_lane, lane_count
 from flexman_gym.kernels.layout import ARMS_PER_GROUP, DIVERGED, NOT_CONVERGED, OK
@@ -44,6 +45,7 @@ def _advance_steps(constants, work, method, steps, state):
     for n in range(number):
         fixed_step(constants, work, method, None, (n * step, step), state)
         copy(work.new_state, state)
+    evaluate_foundation(work, number * step)
     compute_outputs(constants, work, state[:d], state[d : 2 * d], work.outputs)
 
 
@@ -72,7 +74,7 @@ def advance_batch(tables, method, inputs, steps, rows, out, status, trail):
         if _any_moving(status, first, end):
             _set_lanes(rows, first, state)
             for t in range(drives.shape[1]):
-                _set_lanes(drives[:, t], first, work.drive)
+                _set_inputs(drives[:, t], first, work)
                 if len(inputs[1]) > 0:
                     motor = constants_of(tables, group).motor
                     _add_feedback(motor, inputs[1:], trail[0], (first, end, t), work.drive)
@@ -139,7 +141,7 @@ def advance_single(tables, method, drives, steps, rows, out, status, trail):
     copy(rows[0], work.row)
     for t in range(drives.shape[1]):
         if status[0] == OK:
-            copy(drives[0, t], work.drive)
+            _set_inputs(drives[:, t], 0, work)
             _advance_steps(constants_of(tables, 0), work, method, steps, work.row)
             status[0] = OK if in_bounds(work.row, 0) else DIVERGED
             if status[0] == OK:
@@ -194,6 +196,7 @@ def _run_group(constants, work, given, arms, moved, status, counts):
     _set_lanes(states, first, state)
     for i in range(len(work.drive_table)):
         _set_lanes(drives[:, i], first, work.drive_table[i])
+    load_foundation(work, work.drive_table)
     for n in range(steps[0], steps[1]):
         if grid.substeps > 0:
             span = grid.time + max(n, 0) * grid.step, (grid.step if n >= 0 else 0.0)
@@ -203,6 +206,7 @@ def _run_group(constants, work, given, arms, moved, status, counts):
                 return
             copy(work.new_state, state)
         if grid.substeps == 0 or (n >= 0 and (n + 1) % grid.substeps == 0):
+            evaluate_foundation(work, grid.time + (n + 1) * grid.step)
             compute_outputs(constants, work, state[:d], state[d : 2 * d], work.outputs)
             r = grid.row if grid.substeps == 0 else grid.row + n // grid.substeps
             for arm in range(first, end):
@@ -238,6 +242,14 @@ def _set_lanes(values, first, flat):
 
 
 @inner
+def _set_inputs(values, first, work):
+    """Set the inputs, and the foundation row of a rotating base, to the rows of values as in `_set_lanes`."""
+    count = len(work.motor_torque) + 6
+    _set_lanes(values[:, :count], first, work.drive[:count])
+    _set_lanes(values[:, count:], first, work.foundation)
+
+
+@inner
 def _copy_lane(flat, k, out):
     """Copy lane k of the groups of a flat array to out, for all entries of out."""
     for j in range(len(out)):
@@ -260,7 +272,8 @@ def tip_accelerations(tables, drives, rows, out):
     for group in range(len(tables[0])):
         first = group * size
         _set_lanes(rows, first, state)
-        _set_lanes(drives, first, work.drive)
+        _set_inputs(drives, first, work)
+        evaluate_foundation_end(work)
         compute_tip_accelerations(constants_of(tables, group), work, state[:d], state[d : 2 * d], work.outputs)
         for arm in range(first, min(first + size, len(rows))):
             _copy_lane(work.outputs, arm - first, out[arm])

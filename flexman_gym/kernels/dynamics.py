@@ -18,6 +18,7 @@ import math
 
 from flexman_gym.kernels.compile import inner, kernel
 from flexman_gym.kernels.forces import applied_forces, has_knees
+from flexman_gym.kernels.foundation import base_spin, base_spin_rate
 from flexman_gym.kernels.kinematics import compute_kinematics
 from flexman_gym.kernels.lanes import (
     add_weighted_rows,
@@ -43,6 +44,7 @@ from flexman_gym.kernels.linalg import (
     load_matrix,
     load_pair,
     product,
+    store,
     store_matrix,
     store_pair,
     subtract_outer,
@@ -145,8 +147,18 @@ def _joint_acceleration(constants, work, i, frame, out):
 
 @inner
 def prescribed_power(constants, work, v):
-    """Return the power (W) of the motors with prescribed motion, after `solve` with the shift (0, 0)."""
+    """Return the power (W) of motors with prescribed motion and of a rotating base, after `solve`, shift (0, 0).
+
+    The base supplies the product of its angular velocity and the moment on the first link about the base origin.
+    """
     power = 0.0
+    if constants.rotating[0]:
+        c, blocks = load_matrix(work.rotation, 0), work.articulated
+        linear = apply_transposed(c, add_scaled(ZERO, -1.0, load(work.field, 0)))
+        angular = apply_transposed(c, base_spin_rate(constants, work))
+        inertia = load_matrix(blocks, 0), load_matrix(blocks, 1), load_matrix(blocks, 2)
+        _, moment = _apply_inertia(inertia, (linear, angular))
+        power = dot(base_spin(constants, work), add(load(work.base_moment, 0), apply(c, moment)))
     for i in range(len(constants.mass)):
         if constants.prescribed[i]:
             m = constants.motor[i]
@@ -355,8 +367,9 @@ def solve(constants, work, out):
         bias = (apply_transposed(c, linear), apply_transposed(c, angular))
         force, moment = _joint_force(constants, work, i, (force, moment), bias)
         force, moment = apply(c, force), apply(c, moment)
+    store(work.base_moment, 0, moment)
     linear = add_scaled(ZERO, -1.0, load(work.field, 0))
-    angular = ZERO
+    angular = base_spin_rate(constants, work)
     for i in range(n):
         c = load_matrix(work.rotation, i)
         linear = apply_transposed(c, linear)

@@ -3,6 +3,7 @@
 import math
 
 from flexman_gym.kernels.compile import inner
+from flexman_gym.kernels.foundation import base_gravity, evaluate_foundation
 from flexman_gym.kernels.lanes import fma, is_zero, select_below
 from flexman_gym.kernels.layout import AMPLITUDE, FREQUENCY, OFFSET, PHASE, SLOPE, START, STOP
 from flexman_gym.kernels.linalg import (
@@ -20,17 +21,22 @@ from flexman_gym.kernels.linalg import (
 
 
 @inner
-def evaluate_drive(table, time, out):
-    """Set out (n + 6,) to the inputs of a drive table (7, n + 6) of `layout` at a time (s); `table` None keeps out."""
+def evaluate_drive(work, table, time):
+    """Set work.drive to the inputs of a drive table of `layout` at a time (s), and to the motion of a rotating base.
+
+    The table None keeps the n + 6 inputs.
+    """
     if table is not None:
-        for i in range(len(out)):
+        for i in range(len(work.motor_torque) + 6):
             value = table[OFFSET, i]
             if not is_zero(table[SLOPE, i]):
                 value += table[SLOPE, i] * time
             if not is_zero(table[AMPLITUDE, i]):
                 angle = 2.0 * math.pi * table[FREQUENCY, i] * time + table[PHASE, i]
                 value += table[AMPLITUDE, i] * math.sin(angle)
-            out[i] = select_below(time, table[START, i], 0.0, select_below(time, table[STOP, i], value, 0.0))
+            value = select_below(time, table[START, i], 0.0, select_below(time, table[STOP, i], value, 0.0))
+            work.drive[i] = value
+    evaluate_foundation(work, time)
 
 
 @inner
@@ -264,9 +270,9 @@ def shift_forces(constants, work, x_change, v_change):
 def _apply_disturbance(constants, work, v):
     """Set work.field and work.tip_force from tip force and base acceleration in work.drive; return their power (W)."""
     n = len(constants.mass)
-    drive, gravity = work.drive, constants.gravity
+    drive, gravity = work.drive, base_gravity(constants, work)
     force, base = (drive[n], drive[n + 1], drive[n + 2]), (drive[n + 3], drive[n + 4], drive[n + 5])
-    store(work.field, 0, add_scaled((gravity[0], gravity[1], gravity[2]), -1.0, base))
+    store(work.field, 0, add_scaled(gravity, -1.0, base))
     if not _vanishes(force):
         for i in range(n):
             force = apply_transposed(load_matrix(work.rotation, i), force)

@@ -46,7 +46,7 @@ def midpoint_step(constants, work, method, table, span, state):
     d, (time, step), (iterations, correction) = len(state) // 2 - 1, span, method
     g, w, x, v = 0.5 * step, work.rates, work.new_state[:d], work.new_state[d : 2 * d]
     springs = work.stage_state[:d]
-    evaluate_drive(table, time + g, work.drive)
+    evaluate_drive(work, table, time + g)
     for k in range(d):
         work.stage_state[k], work.stage_state[d + k] = state[k] + g * state[d + k], state[d + k]
         w[k] = 0.0
@@ -163,13 +163,13 @@ def gauss_step(constants, work, iterations, table, span, state):
         return 0
     d, (time, step) = len(state) // 2 - 1, span
     x, v, first, second = work.new_state[:d], work.new_state[d : 2 * d], work.stages[0], work.stages[1]
-    evaluate_drive(table, time + 0.5 * step, work.drive)
+    evaluate_drive(work, table, time + 0.5 * step)
     _predict_stages(constants, work, step, state)
     g = DIAGONAL * step
     for n in range(iterations):
         _sum_stages(work, d)
         for i in range(2):
-            evaluate_drive(table, time + (0.5 + (2 * i - 1) * GAUSS_NODE) * step, work.drive)
+            evaluate_drive(work, table, time + (0.5 + (2 * i - 1) * GAUSS_NODE) * step)
             _explicit_part(work, i, step, state)
             _update_midpoint(work, g, x, v)
             _newton_iteration(constants, work, g, x, v, work.stage_state[:d])
@@ -265,7 +265,7 @@ def converged_step(constants, work, method, table, span, state):
     if method is None:
         return 0
     time, h = span
-    evaluate_drive(table, time + (0.5 * h if method.midpoint else h), work.drive)
+    evaluate_drive(work, table, time + (0.5 * h if method.midpoint else h))
     speed_gain, position_gain = _predict(method, work, h, state)
     count = _newton_solution(constants, work, method.tolerance, (speed_gain, position_gain), len(state) // 2 - 1)
     _correct(method, work, h, speed_gain, position_gain, state)

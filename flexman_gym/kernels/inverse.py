@@ -6,6 +6,7 @@ from flexman_gym.kernels.arguments import constants_of, work_of
 from flexman_gym.kernels.compile import inner, kernel
 from flexman_gym.kernels.dynamics import link_tip_acceleration, payload_force
 from flexman_gym.kernels.forces import has_knees, spring_slope, spring_torque
+from flexman_gym.kernels.foundation import base_gravity, base_spin_rate
 from flexman_gym.kernels.kinematics import compute_kinematics
 from flexman_gym.kernels.lanes import extract_lane, insert_lane, is_zero
 from flexman_gym.kernels.layout import ARMS_PER_GROUP
@@ -32,8 +33,8 @@ def inertial_forces(constants, work, x, v, acceleration, out):
     """
     compute_kinematics(constants, work, x, v)
     n = len(constants.mass)
-    linear = (-constants.gravity[0], -constants.gravity[1], -constants.gravity[2])
-    angular = ZERO
+    linear = add_scaled(ZERO, -1.0, base_gravity(constants, work))
+    angular = base_spin_rate(constants, work)
     for i in range(n):
         c = load_matrix(work.rotation, i)
         linear = apply_transposed(c, linear)

@@ -15,6 +15,7 @@ no mass.
 import math
 
 from flexman_gym.kernels.compile import inner
+from flexman_gym.kernels.foundation import base_spin
 from flexman_gym.kernels.lanes import (
     add_products,
     add_weighted_rows,
@@ -199,7 +200,7 @@ def _velocities(constants, work, v):
     """
     n = len(constants.mass)
     elastic = len(v) - constants.elastic_start[n]
-    spin = ZERO
+    spin = base_spin(constants, work)
     velocity = ZERO
     for i in range(n):
         c = load_matrix(work.rotation, i)

@@ -13,6 +13,13 @@ drive table (7, n + 6) gives the inputs as functions of time t: column j has the
 phase (rad), start (s), stop (s) and slope of input j, which is offset + slope t + amplitude sin(2 pi frequency t +
 phase) while start <= t < stop, and zero otherwise. Offset and amplitude have the unit of the input, slope that per s.
 
+Rotating base. Gravity (m/s^2), angular velocity (rad/s) and angular acceleration of the base, all in the base frame,
+follow the inputs in `Work.drive` (n + 15,). They are polynomials of time, given by a foundation row (FOUNDATION,): the
+start of its interval (s), the length of the interval (s), and for the three components of gravity and then of the
+angular velocity the coefficients of (t - start)^0 to (t - start)^FOUNDATION_DEGREE; the angular acceleration is the
+derivative. Rows of inputs end with a foundation row (n + 6 + FOUNDATION,), drive tables with its numbers, by rows, in
+FOUNDATION / 7 columns.
+
 Equation numbers are those of the paper "Dynamic modeling and simulation of spatial manipulator with flexible links and
 joints".
 
@@ -68,6 +75,12 @@ ARMS_PER_GROUP = 8  # number of arms that the kernels integrate at once, one in 
 MAX_STAGES = 16  # largest number of stages of a method, including the evaluation at the end of the step
 MAX_SEQUENCES = 8  # largest number of sequences of an extrapolation method
 
+# Rotating base above.
+FOUNDATION_DEGREE = 12
+FOUNDATION_PART = FOUNDATION_DEGREE + 1  # coefficients of a polynomial
+FOUNDATION = 84  # 2 + 6 FOUNDATION_PART, rounded up to a multiple of the 7 rows of a drive table
+FOUNDATION_COLUMNS = FOUNDATION // 7
+
 # Rows of a drive table, see Drive above.
 OFFSET, AMPLITUDE, FREQUENCY, PHASE, START, STOP, SLOPE = 0, 1, 2, 3, 4, 5, 6
 
@@ -117,6 +130,7 @@ class Constants(NamedTuple):
     ripple_phase: Array  # (n,) rad
     has_ripple: IntArray  # (n,) 1 for a motor with torque ripple, else 0
     prescribed: IntArray  # (n,) 1 for a motor with prescribed motion, else 0; set by a simulation, not by a model
+    rotating: IntArray  # (1,) 1 for a base with prescribed rotation, else 0; set by a simulation, not by a model
     length: Array  # (n,)
     mass: Array  # (n,)
     first_moment: Vectors  # (n, 3) integral of r0 dm
@@ -220,7 +234,9 @@ class Work(NamedTuple):
     motor_inertia: Array  # (n,) rotor inertia plus `spring` plus g friction_slope
     friction_slope: Array  # (n,) friction torque divided by motor rate (secant), N m s/rad
     # accelerations (forces and dynamics.solve)
-    drive: Array  # (n + 6,) inputs at a time
+    drive: Array  # (n + 6,) inputs at a time; (n + 15,) with a rotating base
+    foundation: Array  # (FOUNDATION,) foundation row of a rotating base, else (0,)
+    base_moment: Vectors  # (1, 3) moment on the first link about the base origin without acceleration of the base
     field: Vectors  # (1, 3) gravity minus the acceleration of the base, base frame
     tip_force: Vectors  # (1, 3) force on the tip, in the frame of the last link
     force: Array  # (d,) generalised forces of motors, friction, springs and dampers
@@ -241,7 +257,7 @@ class Work(NamedTuple):
     outputs: Array  # (OUTPUTS,) outputs of the arms of a batch
     next_step: Array  # (1,) s; step size with which an adaptive integration continues, 0 before the first step
     progress: Array  # (2,) 1 and the seconds completed in the interval of a paused integration; else zeros
-    drive_table: Rows  # (7, n + 6) drive table of the arms of a batch
+    drive_table: Rows  # (7, n + 6) drive table of the arms of a batch; with a rotating base and its foundation row
 
 
 def make_work(constants: Constants, zeros: Callable[[tuple[int, ...]], Array] = np.zeros) -> Work:
@@ -251,7 +267,7 @@ def make_work(constants: Constants, zeros: Callable[[tuple[int, ...]], Array] = 
         constants: constants of the model.
         zeros: function: shape -> array of zeros; for a batch an array with one number for each lane.
     """
-    n, k = len(constants.mass), len(constants.first_moment_shape)
+    n, k, rotating = len(constants.mass), len(constants.first_moment_shape), int(constants.rotating[0])
     size = 2 * (n + int((constants.motor >= 0).sum()) + k) + 2
     rows = int((np.diff(constants.elastic_start) * constants.factor_width).sum())
     widest = int(constants.station_width.max())
@@ -267,12 +283,14 @@ def make_work(constants: Constants, zeros: Callable[[tuple[int, ...]], Array] = 
         "tip_bias": (n, 6), "bias": (n, 6), "elastic_bias": (k,), "articulated": (27 * n,), "carried": (6 * widest,),
         "factor": (rows,), "joint_column": (n, 6), "joint_pivot": (n,), "spring": (n,),
         "spring_slope": (n,), "spring_offset": (n,), "motor_inertia": (n,), "friction_slope": (n,),
-        "drive": (n + 6,), "field": (1, 3), "tip_force": (1, 3),
+        "drive": (n + 6 + 9 * rotating,), "foundation": (FOUNDATION * rotating,), "base_moment": (1, 3),
+        "field": (1, 3), "tip_force": (1, 3),
         "force": (size // 2 - 1,), "elastic_force": (k,), "joint_force": (n,), "motor_torque": (n,),
         "frame_acceleration": (n, 6), "reaction": (n + 1, 6),
         "stages": (MAX_STAGES, size), "stage_state": (size,), "shift": (size,), "new_state": (size,),
         "rates": (size // 2 - 1,), "extrapolated": (MAX_SEQUENCES, size), "error_estimate": (2, size), "row": (size,),
-        "outputs": (OUTPUTS,), "next_step": (1,), "progress": (2,), "drive_table": (7, n + 6),
+        "outputs": (OUTPUTS,), "next_step": (1,), "progress": (2,),
+        "drive_table": (7, n + 6 + FOUNDATION_COLUMNS * rotating),
     }  # fmt: skip
     return Work(**{name: zeros(shape) for name, shape in shapes.items()})
 

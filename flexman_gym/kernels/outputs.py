@@ -3,6 +3,7 @@
 from flexman_gym.kernels.compile import inner, kernel
 from flexman_gym.kernels.dynamics import factorise, solve
 from flexman_gym.kernels.forces import applied_forces, spring_energy
+from flexman_gym.kernels.foundation import base_gravity, base_spin, base_spin_rate
 from flexman_gym.kernels.kinematics import compute_kinematics, tip_rotation
 from flexman_gym.kernels.lanes import fma, is_zero
 from flexman_gym.kernels.layout import (
@@ -43,6 +44,8 @@ def compute_outputs(constants, work, x, v, out):
     n = len(constants.mass)
     elastic = len(x) - constants.elastic_start[n]
     position, velocity, kinetic, gravitational = _chain_outputs(constants, work, v, elastic)
+    if constants.rotating[0]:
+        velocity = add_scaled(velocity, -1.0, cross(base_spin(constants, work), position))
     rigid, rate = rigid_tip(constants, x, v)
     for j in range(3):
         out[TIP_COLUMN + j], out[TIP_VELOCITY_COLUMN + j] = position[j], velocity[j]
@@ -85,13 +88,29 @@ def compute_tip_accelerations(constants, work, x, v, out):
     for i in range(last, -1, -1):
         linear = apply(load_matrix(work.rotation, i), linear)
     linear = add(linear, load(work.field, 0))
+    if constants.rotating[0]:
+        linear = add_scaled(linear, -1.0, _transport_acceleration(constants, work))
     out[0], out[1], out[2] = linear
     out[3], out[4], out[5] = specific
 
 
+@inner
+def _transport_acceleration(constants, work):
+    """Return the acceleration of the tip minus that relative to a rotating base (m/s^2), in the base frame."""
+    position, velocity = ZERO, load(work.tip_velocity, 0)
+    for i in range(len(constants.mass) - 1, -1, -1):
+        c = load_matrix(work.rotation, i)
+        position, velocity = apply(c, add(load(work.tip, i), position)), apply(c, velocity)
+    spin = base_spin(constants, work)
+    turning = cross(spin, position)
+    relative = add_scaled(velocity, -1.0, turning)
+    result = add(cross(base_spin_rate(constants, work), position), cross(spin, turning))
+    return add_scaled(result, 2.0, cross(spin, relative))
+
+
 @kernel
 def tip_accelerations(constants, work, x, v, drive, out):
-    """Set out (TIP_ACCELERATIONS,) as `compute_tip_accelerations` for inputs `drive` (n + 6,), see `layout`."""
+    """Set out (TIP_ACCELERATIONS,) as `compute_tip_accelerations` for all numbers of work.drive, see `layout`."""
     copy(drive, work.drive)
     compute_tip_accelerations(constants, work, x, v, out)
 
@@ -161,8 +180,7 @@ def _chain_outputs(constants, work, v, elastic):
     kinetic += 0.5 * payload * dot(velocity, velocity) + dot(velocity, cross(spin, moment))
     kinetic += 0.5 * dot(spin, apply(load_matrix(work.payload_rotary, 0), spin))
     velocity, mass_moment = apply(frame, velocity), add(mass_moment, apply(frame, moment))
-    gravity = (constants.gravity[0], constants.gravity[1], constants.gravity[2])
-    gravitational = -dot(gravity, add_scaled(mass_moment, payload, origin))
+    gravitational = -dot(base_gravity(constants, work), add_scaled(mass_moment, payload, origin))
     return origin, velocity, kinetic, gravitational
 
 

@@ -13,6 +13,7 @@ from flexman_gym.kernels.arguments import constants_of, work_of
 from flexman_gym.kernels.compile import inner, kernel
 from flexman_gym.kernels.dynamics import factorise, prescribed_power, solve
 from flexman_gym.kernels.forces import applied_forces, evaluate_drive, secant_friction, shift_forces, tangent_springs
+from flexman_gym.kernels.foundation import evaluate_foundation, load_foundation
 from flexman_gym.kernels.kinematics import compute_kinematics
 from flexman_gym.kernels.lanes import extract_lane, fma, insert_lane, value_lane
 from flexman_gym.kernels.layout import DIVERGED, LARGEST_STATE, NOT_CONVERGED, OK, PAUSED
@@ -98,7 +99,7 @@ def _stage_derivative(constants, work, table, time, state, out):
     """Set out (2 d + 2,) to the time derivative of state and ledger."""
     d = len(state) // 2 - 1
     x, v = state[:d], state[d : 2 * d]
-    evaluate_drive(table, time, work.drive)
+    evaluate_drive(work, table, time)
     compute_kinematics(constants, work, x, v)
     factorise(constants, work, (0.0, 0.0))
     supplied, dissipated = applied_forces(constants, work, x, v)
@@ -111,6 +112,7 @@ def _stage_derivative(constants, work, table, time, state, out):
 @kernel
 def state_derivative(constants, work, table, time, state, out):
     """Set out (2 d + 2,) to the time derivative of state and ledger (2 d + 2,) at a time (s)."""
+    load_foundation(work, table)
     _stage_derivative(constants, work, table, time, state, out)
 
 
@@ -144,6 +146,7 @@ def run_adaptive(constants, work, method, tableau, table, grid, state, rows, out
     Returns:
         Status, number of valid rows and number of evaluations of the accelerations.
     """
+    load_foundation(work, table)
     d, evaluations = len(state) // 2 - 1, 0
     step_size = work.next_step[0] if work.next_step[0] > 0.0 else grid.step
     paused, elapsed = _resume(work)
@@ -173,6 +176,7 @@ def run_adaptive(constants, work, method, tableau, table, grid, state, rows, out
         elapsed = 0.0
         work.next_step[0] = step_size
         copy(state, rows[r])
+        evaluate_foundation(work, grid.time + (grid.first_row + r + 1) * grid.step * grid.substeps)
         compute_outputs(constants, work, state[:d], state[d : 2 * d], outputs[r])
     return OK, len(rows), evaluations
 
@@ -267,7 +271,7 @@ def sequences_step(work, method, table, span, state):
             j, p = schedule[r, k, 0], schedule[r, k, 1]
             part = step / parts[j]
             insert_lane(steps, 0, k, part)
-            evaluate_drive(table, time + p * part, work.drive)
+            evaluate_drive(work, table, time + p * part)
             for i in range(len(work.drive)):
                 insert_lane(lane_work.drive, i, k, work.drive[i])
             for i in range(len(state) if p == 0 else 0):
@@ -326,7 +330,7 @@ def _implicit_stage(constants, work, tableau, table, span, state, i, update):
         shift[k] = g * fma(g, stage[d + k], v[k] + stage[k])
         shift[d + k] = g * stage[d + k]
     if update:
-        evaluate_drive(table, time + tableau.abscissae[i] * step, work.drive)
+        evaluate_drive(work, table, time + tableau.abscissae[i] * step)
         compute_kinematics(constants, work, x, v)
     supplied, dissipated = applied_forces(constants, work, x, v)
     if i == 0:
@@ -348,7 +352,9 @@ def _implicit_stage(constants, work, tableau, table, span, state, i, update):
 
 @inner
 def _any_prescribed(constants):
-    """Return True if the motion of a motor is prescribed."""
+    """Return True if the motion of a motor or the rotation of the base is prescribed."""
+    if constants.rotating[0]:
+        return True
     for i in range(len(constants.prescribed)):
         if constants.prescribed[i]:
             return True

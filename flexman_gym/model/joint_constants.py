@@ -39,6 +39,7 @@ def joint_constants(arm: Arm, choice: ModelChoice) -> dict[str, np.ndarray]:
         "knee_share": shares[0],
         "has_ripple": (fields["ripple_cycles"] > 0.0).astype(np.int64),
         "prescribed": np.zeros(arm.n_joints, dtype=np.int64),
+        "rotating": np.zeros(1, dtype=np.int64),
     }
 
 

@@ -24,7 +24,9 @@ class FrameMotion:
         model: model of the arm.
         states: (T, 2 d).
         accelerations: (T, d) generalised accelerations.
-        inputs: (T, n + 6), n motor torques (N m, not used), tip force (3, N) and base acceleration (3, m/s^2).
+        inputs: (T, n + 6), n motor torques (N m, not used), tip force (3, N) and base acceleration (3, m/s^2), all in
+            the base frame; (T, n + 15) with gravity (m/s^2), angular velocity (rad/s) and angular acceleration
+            (rad/s^2) of a rotating base.
 
     Attributes:
         model, states, accelerations: the arguments.
@@ -58,8 +60,12 @@ class FrameMotion:
         self.model, self.states, self.accelerations = model, states, accelerations
         n, d, count = model.n_joints, model.n_dof, len(states)
         work, out, records = make_work(model.constants), np.zeros(d), []
-        for state, acceleration, row in zip(states, accelerations, inputs, strict=True):
-            constants = model.constants._replace(gravity=model.constants.gravity - row[n + 3 :])
+        rotates = inputs.shape[1] > n + 6
+        self._gravity = inputs[:, n + 6 : n + 9] if rotates else np.tile(model.constants.gravity, (count, 1))
+        for state, acceleration, row, gravity in zip(states, accelerations, inputs, self._gravity, strict=True):
+            field = gravity - row[n + 3 : n + 6]
+            constants = model.constants._replace(gravity=field)
+            work.drive[n + 6 :] = np.concatenate([field, row[n + 9 :]]) if rotates else ()
             inverse.inertial_forces(constants, work, state[:d], state[d:], acceleration, out)
             records.append([getattr(work, name).copy() for name in FIELDS])
         shapes = {"rotation": (count, n, 3, 3), "payload_rotary": (count, 3, 3)}
@@ -125,7 +131,7 @@ class FrameMotion:
             rotation = rotation @ self.rotation[:, i]
             centre = np.einsum("p,tpi->ti", points.masses, positions)
             first_moment = points.masses.sum() * origin + np.einsum("tij,tj->ti", rotation, centre)
-            gravitational[:, i] = -first_moment @ constants.gravity
+            gravitational[:, i] = -np.einsum("ti,ti->t", first_moment, self._gravity)
             origin = origin + np.einsum("tij,tj->ti", rotation, self.tip[:, i])
         mass, w, v = constants.payload_mass[0], self.payload_spin, self.tip_velocity
         payload_kinetic = mass * (v**2).sum(axis=1) / 2.0 + np.einsum("ti,ti->t", v, np.cross(w, self.payload_moment))
@@ -140,7 +146,7 @@ class FrameMotion:
             "link_kinetic": kinetic, "link_elastic": elastic[:, :n], "link_gravitational": gravitational,
             "rotor_kinetic": rotors, "joint_elastic": elastic[:, n:],
             "payload_kinetic": payload_kinetic[:, None],
-            "payload_gravitational": -(payload_first_moment @ constants.gravity)[:, None],
+            "payload_gravitational": -np.einsum("ti,ti->t", payload_first_moment, self._gravity)[:, None],
         }  # fmt: skip
 
     def _elastic(self, link: int) -> tuple[Array, Array, Array]:

@@ -1,11 +1,10 @@
 """Scene: arm, model choice, torques, initial state and duration of a simulation, stored in a JSON or YAML file."""
 
-import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,8 +13,6 @@ from flexman_gym.common.arrays import Vector
 from flexman_gym.common.checks import (
     RATIO_TOLERANCE,
     flag,
-    mapping,
-    one_of,
     positive,
     sequence,
     set_fields,
@@ -27,7 +24,9 @@ from flexman_gym.common.errors import short_path, value_error
 from flexman_gym.common.files import read_data, write_csv, write_data
 from flexman_gym.common.formatting import text_fields
 from flexman_gym.scene.arm import Arm
+from flexman_gym.scene.foundation import UPRIGHT, FoundationRotation, check_attitude
 from flexman_gym.scene.input_checks import check_keywords
+from flexman_gym.scene.scene_files import COLUMN_UNITS, signal_from_plain, split_samples, torque_from_plain
 from flexman_gym.scene.serialization import find_arm, from_plain, to_plain
 from flexman_gym.scene.signals import (
     ConstantTorque,
@@ -39,11 +38,7 @@ from flexman_gym.scene.signals import (
     SineTorque,
 )
 
-if TYPE_CHECKING:
-    from flexman_gym.common.time_series import TimeSeries
-
 MAX_ELEMENTS = 64  # largest number of finite elements of a link
-MAX_INLINE_SAMPLES = 100  # largest number of samples of a signal in a scene file; longer signals go to CSV files
 
 
 @dataclass(frozen=True)
@@ -126,8 +121,6 @@ def _modes(name: str, value: object, most: int) -> int | tuple[int, ...]:
 
 
 MAX_OUTPUT_STEPS = 10_000_000
-# Field of a scene -> units of a column of a CSV file with this signal.
-COLUMN_UNITS = {"prescribed": ("rad", "rad/s^2"), "tip_force": ("N",), "base_acceleration": ("m/s^2",)}
 
 
 @dataclass(frozen=True)
@@ -178,7 +171,13 @@ class Scene:
         tip_force: external force on the tip of the last link, three Signals or SampledSignals along x, y and z of the
             base frame, N; None for no force.
         base_acceleration: acceleration of the base, three Signals or SampledSignals along x, y and z of the base frame,
-            m/s^2; None for a fixed base.
+            m/s^2; None for a base that does not accelerate.
+        base_angular_acceleration: angular acceleration of the base, three Signals or SampledSignals along x, y and z of
+            the base frame, rad/s^2; None for zero. The base frame turns with the base, and the gravity of the arm is
+            that in the world frame.
+        base_attitude: unit quaternion (w, x, y, z) at t = 0, the rotation from the base frame to the world frame; None
+            for a base frame along the world frame.
+        base_angular_velocity: angular velocity (3,) of the base at t = 0, base frame, rad/s; None for zero.
 
     Raises:
         ValueError: for a field of the wrong type, for a number of joints that differs from the arm, for a torque on a
@@ -202,6 +201,9 @@ class Scene:
     prescribed: Sequence[Signal | SampledSignal | SampledAngles | None] | None = None
     tip_force: Sequence[Signal | SampledSignal] | None = None
     base_acceleration: Sequence[Signal | SampledSignal] | None = None
+    base_angular_acceleration: Sequence[Signal | SampledSignal] | None = None
+    base_attitude: Vector | None = None
+    base_angular_velocity: Vector | None = None
 
     def __post_init__(self) -> None:
         set_fields(self, arm=find_arm(self.arm))
@@ -216,7 +218,15 @@ class Scene:
             prescribed=self._checked_motion(),
             tip_force=_check_signals("Scene.tip_force", self.tip_force, "N"),
             base_acceleration=_check_signals("Scene.base_acceleration", self.base_acceleration, "m/s^2"),
+            base_angular_acceleration=_check_signals(
+                "Scene.base_angular_acceleration", self.base_angular_acceleration, "rad/s^2"
+            ),
         )
+        if self.base_attitude is not None:
+            set_fields(self, base_attitude=check_attitude("Scene.base_attitude", self.base_attitude))
+        if self.base_angular_velocity is not None:
+            rate = vector("Scene.base_angular_velocity", self.base_angular_velocity, 3, "rad/s")
+            set_fields(self, base_angular_velocity=rate)
         steps = self.duration / self.output_step
         if not 0.5 < steps <= MAX_OUTPUT_STEPS or abs(steps - round(steps)) > 1e-9 * steps:
             allowed = f"1 to {MAX_OUTPUT_STEPS} whole steps in the duration {self.duration} s"
@@ -271,7 +281,7 @@ class Scene:
 
     def _check_samples(self) -> None:
         """Check that all samples cover the time from 0 to the duration."""
-        for name in ("torque", "prescribed", "tip_force", "base_acceleration"):
+        for name in ("torque", *COLUMN_UNITS):
             part = getattr(self, name)
             for i, item in enumerate(part.signals() if name == "torque" else part or ()):
                 if not isinstance(item, SampledSignal | SampledAngles):
@@ -294,13 +304,26 @@ class Scene:
         """Indices, from 0, of the joints with prescribed motion."""
         return [i for i, motion in enumerate(self.prescribed or ()) if motion is not None]
 
+    @property
+    def rotates(self) -> bool:
+        """True if the base rotates or is tilted."""
+        return any((self.base_angular_acceleration, self.base_attitude, self.base_angular_velocity))
+
+    @cached_property
+    def rotation(self) -> FoundationRotation:
+        """Rotation of the base."""
+        accelerations = self.base_angular_acceleration or [Signal()] * 3
+        attitude, rate = self.base_attitude or UPRIGHT, self.base_angular_velocity or (0.0, 0.0, 0.0)
+        return FoundationRotation(accelerations, attitude, rate, self.arm.gravity, self.duration, self.output_step)
+
     @cached_property
     def pieces(self) -> PiecewiseSignals:
         """Signals of n motors, 3 components of the tip force and 3 of the base acceleration, for the kernels."""
         motions, none = self.prescribed or [None] * self.arm.n_joints, [None] * 3
         accelerations = [motion.acceleration if isinstance(motion, SampledAngles) else motion for motion in motions]
         motors = [motion or torque for motion, torque in zip(accelerations, self.torque.signals(), strict=True)]
-        return PiecewiseSignals([*motors, *(self.tip_force or none), *(self.base_acceleration or none)], self.duration)
+        signals = [*motors, *(self.tip_force or none), *(self.base_acceleration or none)]
+        return PiecewiseSignals(signals, self.duration, self.rotation if self.rotates else None)
 
     @property
     def output_times(self) -> NDArray[np.float64]:
@@ -330,7 +353,7 @@ class Scene:
         Signals of more than a hundred samples are written to CSV files in the same folder, such as scene_torque.csv for
         scene.json.
         """
-        data, tables = _split_samples(Path(path), self.to_dict())
+        data, tables = split_samples(Path(path), self.to_dict())
         write_data(Path(path), data)
         for file, columns in tables.items():
             write_csv(file, columns)
@@ -356,7 +379,7 @@ class Scene:
                 None
                 if value is None
                 else [
-                    _signal_from_plain(f"{name}[{i}]", item, COLUMN_UNITS[name], folder)
+                    signal_from_plain(f"{name}[{i}]", item, COLUMN_UNITS[name], folder)
                     for i, item in enumerate(sequence(name, value, "a list of mappings"))
                 ]
             )
@@ -367,7 +390,7 @@ class Scene:
             data,
             arm=find_arm,
             model=partial(from_plain, ModelChoice, "model"),
-            torque=partial(_torque_from_plain, folder=folder),
+            torque=partial(torque_from_plain, folder=folder),
             initial=partial(from_plain, Initial, "initial"),
             **{name: signals(name) for name in COLUMN_UNITS},  # type: ignore[arg-type]
         )
@@ -378,98 +401,6 @@ class Scene:
         if self.arm.payload is None:
             data["arm"]["payload"] = {"mass": 0.0}
         return {"note": self.note} | data
-
-
-def _torque_from_plain(data: object, folder: Path) -> ConstantTorque | SineTorque | SampledTorque:
-    """Return the torque for a mapping with the key "kind"; the key "csv" may replace times and values of samples."""
-    if not isinstance(data, dict):
-        raise value_error("torque", data, "a mapping with the key kind")
-    kinds: dict[str, Any] = {kind.kind: kind for kind in (ConstantTorque, SineTorque, SampledTorque)}
-    kind = kinds[one_of("torque.kind", data.get("kind"), kinds)]
-    entries = {name: value for name, value in data.items() if name != "kind"}
-    if kind is SampledTorque and "csv" in entries:
-        given = mapping("torque", entries, ("csv", "columns", "hold"))
-        name = text("torque.csv", given.pop("csv"))
-        torque = SampledTorque.from_csv(folder / name, **given)
-        _warn_outside("torque.csv", name, folder)
-        return torque
-    return from_plain(kind, "torque", entries)
-
-
-def _signal_from_plain(
-    path: str, data: object, units: tuple[str, ...], folder: Path
-) -> Signal | SampledSignal | SampledAngles | None:
-    """Return the signal for a mapping with samples, with the fields of Signal, or with the keys "csv" and "column".
-
-    Args:
-        path: field of the scene file, for errors.
-        data: the mapping, or None.
-        units: units allowed for a column.
-        folder: folder to which the path of a CSV file is relative.
-
-    Returns:
-        The signal; None for None.
-
-    Raises:
-        FileNotFoundError: if the CSV file does not exist.
-    """
-    if data is None:
-        return None
-    keys = data if isinstance(data, dict) else {}
-    if "csv" in keys:
-        options = dict(mapping(path, data, ("csv", "column", "hold", "deviation")))
-        name = text(f"{path}.csv", options.pop("csv"))
-        column = text(f"{path}.column", options.pop("column", None))
-        from flexman_gym.common.time_series import read_time_series
-
-        record = read_time_series(folder / name, [column], units).warn()
-        _warn_outside(f"{path}.csv", name, folder)
-        return _sampled_signal(record, column, options)
-    if "angles" in keys and "rad" in units:
-        return from_plain(SampledAngles, path, data)
-    return from_plain(SampledSignal, path, data) if "times" in keys else from_plain(Signal, path, data)
-
-
-def _warn_outside(field: str, name: str, folder: Path) -> None:
-    """Warn (FutureWarning) of a CSV file outside the folder of its scene file, which may be untrusted."""
-    if not (folder / name).resolve().is_relative_to(folder.resolve()):
-        line = f"{field}: {short_path(name)} is outside the folder of the scene file"
-        warnings.warn(f"{line}; the next release will require explicit permission", FutureWarning, stacklevel=2)
-
-
-def _split_samples(path: Path, data: dict[str, Any]) -> tuple[dict[str, Any], dict[Path, dict[str, Any]]]:
-    """Return the mapping of a scene with CSV files in place of long signals, and the columns of each CSV file."""
-    result, tables = dict(data), {}
-
-    def move(label: str, item: dict[str, Any], columns: dict[str, Any]) -> dict[str, Any]:
-        file = path.with_name(f"{path.stem}_{label}.csv")
-        tables[file] = {"time (s)": item["times"], **columns}
-        options = {name: value for name, value in item.items() if name not in ("times", "values", "angles")}
-        return options | {"csv": file.name}
-
-    if len(data["torque"].get("times", ())) > MAX_INLINE_SAMPLES:
-        heads = [f"torque_{i} (N m)" for i in range(1, len(data["torque"]["values"][0]) + 1)]
-        columns = dict(zip(heads, zip(*data["torque"]["values"], strict=True), strict=True))
-        result["torque"] = move("torque", data["torque"], columns)
-    for name, units in COLUMN_UNITS.items():
-        for i, item in enumerate(data.get(name) or ()):
-            if item is not None and len(item.get("times", ())) > MAX_INLINE_SAMPLES:
-                label, is_angle = f"{name}_{i}", "angles" in item
-                columns = {f"{label} ({units[0 if is_angle else -1]})": item["angles" if is_angle else "values"]}
-                result[name] = list(result[name])
-                result[name][i] = move(label, item, columns) | {"column": label}
-    return result, tables
-
-
-def _sampled_signal(record: "TimeSeries", column: str, options: dict[str, Any]) -> Any:
-    """Return the signal in the column of a record: SampledAngles if the unit is rad, otherwise a SampledSignal."""
-    [(unit, values)] = record.columns.values()
-    kind: Any = SampledAngles if unit == "rad" else SampledSignal
-    try:
-        return kind(record.times, values, **options)
-    except TypeError:
-        option = "deviation" if kind is SampledAngles else "hold"
-        raise value_error(column, sorted(options), f"only the keys csv, column and {option}") from None
 
 
 def _check_signals(name: str, value: object, units: str) -> tuple[Signal | SampledSignal, ...] | None:

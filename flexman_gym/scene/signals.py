@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,9 @@ from flexman_gym.common.checks import (
 )
 from flexman_gym.common.errors import value_error
 from flexman_gym.common.files import write_csv
+
+if TYPE_CHECKING:
+    from flexman_gym.scene.foundation import FoundationRotation
 
 HOLDS = ("zero", "linear")
 MIN_SPLINE_SAMPLES = 4
@@ -398,24 +401,34 @@ class PiecewiseSignals:
     Args:
         signals: n + 6 signals in the order of `signal_table`; None for zero.
         duration: end of the last interval, s.
+        rotation: rotation of the base, whose foundation rows are the last columns of the tables; None for none.
 
     Attributes:
         times: boundaries (p + 1,) of the p intervals, s, from 0; p = 1 if no signal is sampled.
     """
 
-    def __init__(self, signals: Sequence[Signal | SampledSignal | None], duration: float) -> None:
+    def __init__(
+        self,
+        signals: Sequence[Signal | SampledSignal | None],
+        duration: float,
+        rotation: "FoundationRotation | None" = None,
+    ) -> None:
+        self._rotation = rotation
         sampled = {i: signal for i, signal in enumerate(signals) if isinstance(signal, SampledSignal)}
         self._table = signal_table([None if isinstance(signal, SampledSignal) else signal for signal in signals])
-        times = np.unique(np.concatenate([[0.0, duration], *(signal.times for signal in sampled.values())]))
+        turns = () if rotation is None else (rotation.times,)
+        times = np.unique(np.concatenate([[0.0, duration], *(each.times for each in sampled.values()), *turns]))
         times = times[(times >= 0.0) & (times <= duration)]
         distinct = np.append(True, np.diff(times) > TIME_TOLERANCE * duration)
         self.times = times[distinct] if distinct[-1] else np.append(times[distinct][:-1], duration)
-        middles = 0.5 * (self.times[1:] + self.times[:-1])
-        self._lines: dict[int, tuple[Array, Array]] = {i: signal.lines(middles) for i, signal in sampled.items()}
+        self._middles = 0.5 * (self.times[1:] + self.times[:-1])
+        self._lines: dict[int, tuple[Array, Array]] = {i: each.lines(self._middles) for i, each in sampled.items()}
 
     def table(self, interval: int = 0) -> NDArray[np.float64]:
         """Return the signal table (7, n + 6) of an interval, given by its index."""
         result = self._table.copy()
         for i, (offsets, slopes) in self._lines.items():
             result[0, i], result[-1, i] = offsets[interval], slopes[interval]
+        if self._rotation is not None:
+            result = np.hstack([result, self._rotation.columns(self._middles[interval])])
         return result

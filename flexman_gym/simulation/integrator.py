@@ -74,10 +74,16 @@ def default_step(control_period: float, longest: float = DEFAULT_MAX_STEP) -> fl
     return control_period / max(1, math.ceil(control_period / longest - 1e-9))
 
 
-def with_prescribed(constants: Constants, joints: Collection[int]) -> Constants:
-    """Return the constants of an arm whose motors follow prescribed motions at the joints with some indices, from 0."""
+def with_prescribed(constants: Constants, joints: Collection[int], rotates: bool = False) -> Constants:
+    """Return the constants of an arm with prescribed motions.
+
+    Args:
+        constants: constants of the arm.
+        joints: indices, from 0, of the joints whose motors follow prescribed accelerations.
+        rotates: True for a base with prescribed rotation.
+    """
     flags = np.isin(np.arange(len(constants.prescribed)), list(joints))
-    return constants._replace(prescribed=flags.astype(np.int64))
+    return constants._replace(prescribed=flags.astype(np.int64), rotating=np.array([int(rotates)]))
 
 
 def _extrapolation_schedule(sequence: Sequence[int], lanes: int) -> IntArray:
@@ -111,19 +117,21 @@ class Integrator:
         method: the method.
         tolerance: (rtol, atol) of adaptive steps; None for fixed steps.
         prescribed: indices, from 0, of the joints whose motors follow prescribed accelerations instead of torques.
+        rotates: True for a base with prescribed rotation.
 
     Attributes:
-        constants: constants of the model, with flags of the motors with prescribed motion.
+        constants: constants of the model, with flags of the motors with prescribed motion and of a rotating base.
         work: scratch arrays of the kernels.
         method: the method.
         tolerance: (rtol, atol) of adaptive steps; zeros for fixed steps.
     """
 
     def __init__(
-        self, model: Model, method: Method, tolerance: tuple[float, float] | None, prescribed: Collection[int]
-    ) -> None:
-        self.constants = with_prescribed(model.constants, prescribed)
-        self.work: Work = make_work(model.constants)
+        self, model: Model, method: Method, tolerance: tuple[float, float] | None, prescribed: Collection[int],
+        rotates: bool = False,
+    ) -> None:  # fmt: skip
+        self.constants = with_prescribed(model.constants, prescribed, rotates)
+        self.work: Work = make_work(self.constants)
         self.method = method
         self.tolerance = tolerance or (0.0, 0.0)
         self._max_evaluations = evaluations_per_call(model.constants)
@@ -133,7 +141,8 @@ class Integrator:
         fewest = MIN_SEQUENCES if model.n_elastic else MIN_SEQUENCES_RIGID
         self._lane_work: Work | None = None
         if isinstance(method, LinearlyImplicit) and len(method.sequence) >= fewest:
-            self._lane_work = make_work(model.constants, partial(aligned_zeros, lanes=SEQUENCES.width))
+            zeros = partial(aligned_zeros, lanes=SEQUENCES.width)
+            self._lane_work = make_work(self.constants, zeros)._replace(foundation=zeros((0,)))  # drive is copied
             self._schedule = _extrapolation_schedule(method.sequence, SEQUENCES.width)
         self._bound: Constants | None = None  # constants of the sequences of an extrapolation in SIMD lanes
 
@@ -195,10 +204,13 @@ class Integrator:
         """Clear the step size and stages that the method keeps between steps."""
         self.work.next_step[0] = self.work.stages[:] = 0.0
 
-    def start(self, state: Array, row: Array, result: Array) -> None:
-        """Set a row and its outputs to values for a state, by zero steps; this also loads or compiles the kernels."""
+    def start(self, state: Array, row: Array, result: Array, drive: Array | None = None) -> None:
+        """Set a row and its outputs to values for a state, by zero steps; this also loads or compiles the kernels.
+
+        `drive` is the drive table of a rotating base, else None.
+        """
         self.forget()
-        self(self._at_rest, (0.0, 0.0, 0), state, row[None], result[None])
+        self(self._at_rest if drive is None else drive, (0.0, 0.0, 0), state, row[None], result[None])
 
     def _by_scipy(
         self, drive: Array, clock: TimeGrid, state: Array, rows: Array, result: Array
@@ -221,7 +233,10 @@ class Integrator:
             rows[:valid] = done.y.T
         else:
             rows[:] = state
-        for row, out in zip(rows[:valid], result, strict=False):
+        rates = np.zeros(len(state))
+        for time, row, out in zip(times, rows[:valid], result, strict=False):
+            if self.constants.rotating[0]:  # sets the motion of the base
+                runge_kutta.state_derivative(self.constants, self.work, drive, time, row, rates)
             outputs.compute_outputs(self.constants, self.work, row[:d], row[d : 2 * d], out)
         if valid:
             state[:] = rows[valid - 1]

@@ -232,7 +232,7 @@ class _SceneRun(NamedTuple):
         (model, _, _, interval, substeps, rows), pieces = self.settings, self.scene.pieces
         integrator, state = self.integrator(), initial_row(self.scene, model)
         states, outputs = np.zeros((rows + 1, len(state))), np.zeros((rows + 1, layout.OUTPUTS))
-        integrator.start(state, states[0], outputs[0])
+        integrator.start(state, states[0], outputs[0], pieces.table() if self.scene.rotates else None)
         started = clock.perf_counter()
         status, valid, evaluations, _ = _run_pieces(
             integrator, pieces, (interval, substeps), state, states[1:], outputs[1:]
@@ -243,7 +243,7 @@ class _SceneRun(NamedTuple):
     def integrator(self) -> Integrator:
         """Return a new integrator of the scene."""
         model, method, tolerance, *_ = self.settings
-        integrator = Integrator(model, method, tolerance, self.scene.prescribed_joints)
+        integrator = Integrator(model, method, tolerance, self.scene.prescribed_joints, self.scene.rotates)
         integrator.constants = integrator.constants._replace(**self.constants)
         return integrator
 
@@ -359,6 +359,8 @@ def _check_compatible(name: str, scene: object, first: Scene, built: bool) -> No
     joints = first.prescribed_joints
     if scene.arm.n_joints != first.arm.n_joints or scene.prescribed_joints != joints:
         raise value_error(name, "a scene of different joints", f"{first.arm.n_joints} joints, with {joints} prescribed")
+    if scene.rotates != first.rotates:
+        raise value_error(f"{name}.rotates", scene.rotates, f"that of scenes[0], {first.rotates}")
 
 
 def _simulate_in_lanes(
@@ -367,7 +369,7 @@ def _simulate_in_lanes(
     """Simulate scenes by fixed steps, several at once; the pieces of all drives have equal boundaries."""
     model, method, interval, last = settings.model, settings.method, settings.interval, settings.rows
     assert not isinstance(method, ScipyMethod)
-    shared = with_prescribed(model.constants, scenes[0].prescribed_joints)
+    shared = with_prescribed(model.constants, scenes[0].prescribed_joints, scenes[0].rotates)
     integrator = LaneIntegrator(shared, method, (interval, settings.substeps), len(scenes), threads)
     integrator.set_constants(np.arange(len(scenes)), varied)
     starts = np.array([initial_row(scene, model) for scene in scenes])
@@ -427,14 +429,16 @@ def tip_accelerations(scene: Scene, runs: Sequence[Trajectory], model: Model, pa
         (b, T, 6) m/s^2, columns as in TIP_ACCELERATIONS, see `Batch.tip_accelerations`; NaN after a failure.
     """
     own, size = varied_constants(model, len(runs), parameters), round(scene.duration / scene.output_step) + 1
-    shared = with_prescribed(model.constants, scene.prescribed_joints)
+    shared = with_prescribed(model.constants, scene.prescribed_joints, scene.rotates)
     pieces, d = scene.pieces, model.n_dof
     times = scene.output_step * np.arange(size)
     drives = np.array([pieces.table(p) for p in range(len(pieces.times) - 1)])
     before = np.clip(np.searchsorted(pieces.times, times - 1e-9 * times[-1]) - 1, 0, len(drives) - 1)
     applied = drives[before, layout.OFFSET] + drives[before, layout.SLOPE] * times[:, None]
+    if scene.rotates:
+        applied = np.hstack([applied[:, : model.n_joints + 6], scene.rotation.motion(times)])
     result = np.full((len(runs), size, layout.TIP_ACCELERATIONS), np.nan)
-    work = layout.make_work(model.constants)
+    work = layout.make_work(shared)
     for i, run in enumerate(runs):
         constants = shared._replace(**{name: each[i] for name, each in own.items()})
         for state, drive, out in zip(run.states, applied, result[i], strict=False):

@@ -13,7 +13,7 @@ from flexman_gym import Arm, Joint, Link, Model, Payload, build_model
 from flexman_gym.kernels import layout, outputs
 
 from oracles.coordinates import agreed, agreed_modes, loaded_link, outboard_masses, own_damping, own_stations
-from oracles.dense import Chain, LinkModel
+from oracles.dense import Base, Chain, LinkModel
 
 QUICK = settings(deadline=None, derandomize=True, max_examples=25)
 AMPLITUDES = (0.0, 1e-6, 0.05, 1.5)  # rad, rotation of a link's tip; also its deflection / length
@@ -205,11 +205,12 @@ def pinocchio_model(pin, arm):
 
 @dataclass(frozen=True)
 class Affected:
-    """Random chain with (spinning) rotors, friction, disturbances and joints of prescribed motion."""
+    """Random chain with (spinning) rotors, friction, disturbances, joints of prescribed motion and a rotating base."""
 
     sample: Sample
     spinning: bool
     held: tuple[int, ...]
+    rotating: bool = False
 
     @cached_property
     def arm(self):
@@ -237,9 +238,16 @@ class Affected:
 
     @cached_property
     def constants(self):
-        """Return the constants of the model with the held joints."""
+        """Return the constants of the model with the held joints and the rotation of the base."""
         flags = np.isin(np.arange(self.model.n_joints), self.held).astype(np.int64)
-        return self.model.constants._replace(prescribed=flags)
+        return self.model.constants._replace(prescribed=flags, rotating=np.array([int(self.rotating)]))
+
+    @cached_property
+    def base(self):
+        """Return the rotation of the base."""
+        rng = np.random.default_rng(self.sample.seed + 3)
+        attitude, (rate, acceleration) = Rotation.random(random_state=rng).as_matrix(), rng.uniform(-4.0, 4.0, (2, 3))
+        return Base(attitude, rate, acceleration) if self.rotating else Base()
 
     @cached_property
     def chain(self):
@@ -250,24 +258,28 @@ class Affected:
         return chain
 
     def drive(self):
-        """Return the drive (n + 6,) of the kernels: torques, held joint accelerations, tip force, base acceleration."""
+        """Return the drive (n + 6,) of the kernels: torques, held joint accelerations, tip force, base acceleration.
+
+        With a rotating base (n + 15,), then gravity, angular velocity and angular acceleration in the base frame.
+        """
         drive = np.random.default_rng(self.sample.seed + 2).uniform(-50.0, 50.0, self.model.n_joints + 6)
         drive[-3:] *= 0.2
-        return drive
+        turned = self.arm.gravity, self.base.rate, self.base.acceleration
+        return np.r_[drive, np.ravel(turned @ self.base.attitude)] if self.rotating else drive
 
     def expected(self, x, v):
         """Return the accelerations and motor torques of the oracle."""
         n, drive = self.model.n_joints, self.drive()
         prescribed = {joint: drive[joint] for joint in self.held}
-        return self.chain.driven(x, v, drive[:n], prescribed, drive[n : n + 3], drive[n + 3 :])
+        return self.chain.driven(x, v, drive[:n], prescribed, drive[n : n + 3], drive[n + 3 : n + 6], self.base)
 
 
 @st.composite
-def affected(draw, held=True):
-    """Return random chains with all effects, optionally with held joints."""
+def affected(draw, held=True, rotating=False):
+    """Return random chains with all effects, optionally with held joints, and with or without a rotating base."""
     sample = draw(samples(stiffening=None))
     joints = st.sets(st.integers(0, sample.model.n_joints - 1))
-    return Affected(sample, draw(st.booleans()), tuple(draw(joints)) if held else ())
+    return Affected(sample, draw(st.booleans()), tuple(draw(joints)) if held else (), rotating)
 
 
 def random_scene(seed, links, elements, duration):

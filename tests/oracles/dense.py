@@ -5,7 +5,7 @@
 so that they share no error with the code under test. SI units, radians. Capital letters are matrices of the paper.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache, lru_cache
 from itertools import pairwise
 from math import factorial
@@ -177,6 +177,18 @@ class LinkModel:
 
 
 @dataclass(frozen=True)
+class Base:
+    """Prescribed rotation of the base at a time; vectors in the world frame, whose origin is that of the base."""
+
+    attitude: np.ndarray = field(default_factory=lambda: np.eye(3))  # (3, 3) columns are the axes of the base frame
+    rate: np.ndarray = field(default_factory=lambda: np.zeros(3))  # (3,) angular velocity, rad/s
+    acceleration: np.ndarray = field(default_factory=lambda: np.zeros(3))  # (3,) angular acceleration, rad/s^2
+
+
+FIXED = Base()
+
+
+@dataclass(frozen=True)
 class LinkMotion:
     """Position and velocity of one link's frame in the base frame, and its entries D and gamma in Eq. 34.
 
@@ -235,9 +247,10 @@ class Chain:
         self.elastic = [slice(a, b) for a, b in pairwise(ends)]  # q_i in x
         self.n_dof = int(ends[-1])
 
-    def _motion(self, x, v):
+    def _motion(self, x, v, base=FIXED):
         """Compute the outward pass, Eq. 24-33: return the `LinkMotion` of every link and, last, of the tip."""
-        R, E, tip_rates, tip_gamma, motions = np.zeros(3), np.eye(3), np.zeros(6), np.zeros(6), []
+        R, E, motions = np.zeros(3), base.attitude, []
+        tip_rates, tip_gamma = np.r_[np.zeros(3), base.rate], np.r_[np.zeros(3), base.acceleration]
         for i, beam in enumerate(self.beams):
             F, q, dq = self.orientations[i], x[self.elastic[i]], v[self.elastic[i]]
             A, axis = E @ rotation(self.axes[i] * x[i]) @ F, E @ self.axes[i]
@@ -293,12 +306,12 @@ class Chain:
         B, bias = np.linalg.solve(D, H), np.linalg.solve(D, np.concatenate([motion.gamma for motion in motions]))
         return [(B[start:end], bias[start:end]) for start, end in pairwise(ends)]
 
-    def equation(self, x, v, torque, tip_force=None, base_acceleration=None):
+    def equation(self, x, v, torque, tip_force=None, base_acceleration=None, base=FIXED):
         """Return M_bar and Q_bar of Eq. 46, (n_dof, n_dof) and (n_dof,), with the joints of Eq. 23."""
-        motions = self._motion(x, v)
+        motions = self._motion(x, v, base)
         projection = self._projection(motions)
         # What rests on an accelerated base sees that acceleration as gravity the other way.
-        gravity = self.gravity if base_acceleration is None else self.gravity - base_acceleration
+        gravity = self.gravity if base_acceleration is None else self.gravity - base.attitude @ base_acceleration
         M_bar, Q_bar = np.zeros((self.n_dof, self.n_dof)), np.zeros(self.n_dof)
         for i, (motion, (B, bias)) in enumerate(zip(motions, projection, strict=True)):
             M, force = self._link_equation(i, motion, gravity)
@@ -310,7 +323,7 @@ class Chain:
             Q_bar += force + self._joint_force(i, x, v)
             Q_bar[self.motor.get(i, i)] += torque[i]
         if tip_force is not None:
-            Q_bar += projection[-1][0][:3].T @ tip_force
+            Q_bar += projection[-1][0][:3].T @ base.attitude @ tip_force
         return M_bar, Q_bar
 
     def _rotor(self, i, motion, B, bias, v):
@@ -325,10 +338,11 @@ class Chain:
             return J * np.outer(row, row), np.zeros(self.n_dof)
         carrier = B[3:6].copy()  # B v = w + axis theta', and no other column has theta' in it
         carrier[:, i] = 0.0
-        w = carrier @ v
+        w = motion.rates[3:6] - axis * v[i]
         row += axis @ carrier
+        rate = axis @ w + v[self.motor.get(i, i)]
         quadratic = axis @ bias[3:6]  # the part of it that is joint i's own, w x axis theta', is normal to the axis
-        return J * np.outer(row, row), -J * (row * quadratic + (row @ v) * np.cross(w, axis) @ carrier)
+        return J * np.outer(row, row), -J * (row * quadratic + rate * np.cross(w, axis) @ carrier)
 
     def _joint_force(self, i, x, v):
         """Return the force (n_dof,) of spring, damper and friction of joint i; friction acts on the motor."""
@@ -349,21 +363,22 @@ class Chain:
         """Return M_bar of Eq. 46 with the rotors, (n_dof, n_dof)."""
         return self.equation(x, np.zeros(self.n_dof), np.zeros(self.n))[0]
 
-    def acceleration(self, x, v, torque, tip_force=None, base_acceleration=None):
+    def acceleration(self, x, v, torque, tip_force=None, base_acceleration=None, base=FIXED):
         """Return the accelerations (n_dof,) under the motor torques (n,), N m: Eq. 45.
 
         A force on the tip (3,) N and an acceleration of the base (3,) m/s^2 are in the base frame. Coordinates and
         speeds are relative to the base.
         """
-        return np.linalg.solve(*self.equation(x, v, torque, tip_force, base_acceleration))
+        return np.linalg.solve(*self.equation(x, v, torque, tip_force, base_acceleration, base))
 
-    def driven(self, x, v, torque, prescribed, tip_force=None, base_acceleration=None):
+    def driven(self, x, v, torque, prescribed, *disturbances):
         """Return accelerations (n_dof,) and motor torques (n,) for prescribed motors {joint: acceleration, rad/s^2}.
 
         The torques (n,) that are given hold for the other motors; where a joint is rigid its angle is its motor's.
+        `disturbances` are the last arguments of `equation`.
         """
         free_torque = np.where(np.isin(np.arange(self.n), list(prescribed)), 0.0, torque)
-        M, Q = self.equation(x, v, free_torque, tip_force, base_acceleration)
+        M, Q = self.equation(x, v, free_torque, *disturbances)
         a, held = np.zeros(self.n_dof), np.zeros(self.n_dof, dtype=bool)
         for joint, value in prescribed.items():
             a[self.motor.get(joint, joint)], held[self.motor.get(joint, joint)] = value, True
@@ -383,33 +398,33 @@ class Chain:
         """Return the axes (3, 3), columns, of the beam frame at the end of the last link, with its elastic rotation."""
         return self._motion(x, np.zeros(self.n_dof))[-1].A @ self.orientations[-1]
 
-    def tip_acceleration(self, x, v, a):
-        """Return the acceleration (3,) of the tip relative to the base for accelerations a (n_dof,), Eq. 32."""
-        B, bias = self._projection(self._motion(x, v))[-1]
+    def tip_acceleration(self, x, v, a, base=FIXED):
+        """Return the acceleration (3,) of the tip less that of the base origin for accelerations a (n_dof,), Eq. 32."""
+        B, bias = self._projection(self._motion(x, v, base))[-1]
         return (B @ a + bias)[:3]
 
-    def points(self, x, v):
+    def points(self, x, v, base=FIXED):
         """Return masses (N,), positions and velocities (N, 3) of all mass points: links, then payload, Eq. 1, 4."""
         masses, positions, velocities = [], [], []
-        for beam, motion in zip(self.bodies, self._motion(x, v), strict=True):
+        for beam, motion in zip(self.bodies, self._motion(x, v, base), strict=True):
             lever, L = self._point_matrix(beam, motion)
             masses.append(beam.masses)
             positions.append(motion.R + lever)
             velocities.append(L @ motion.rates)
         return np.concatenate(masses), np.concatenate(positions), np.concatenate(velocities)
 
-    def rotors(self, x, v):
+    def rotors(self, x, v, base=FIXED):
         """Return the axes (n, 3) of the rotors in the base frame, and their rates (n,); absolute if they spin."""
-        motions = self._motion(x, v)[: self.n]
+        motions = self._motion(x, v, base)[: self.n]
         axes, rates = np.array([motion.axis for motion in motions]), v[[self.motor.get(i, i) for i in range(self.n)]]
         if self.spinning_rotors:
             rates = rates + [motion.axis @ motion.rates[3:6] - v[i] for i, motion in enumerate(motions)]
         return axes, rates
 
-    def energy(self, x, v):
+    def energy(self, x, v, base=FIXED):
         """Return the kinetic (with rotors), elastic and gravitational energy (zero at the base origin), J."""
-        masses, positions, velocities = self.points(x, v)
-        _, rates = self.rotors(x, v)
+        masses, positions, velocities = self.points(x, v, base)
+        _, rates = self.rotors(x, v, base)
         kinetic = 0.5 * masses @ np.sum(velocities**2, axis=1)
         elastic = sum(0.5 * x[q] @ beam.K @ x[q] for q, beam in zip(self.elastic, self.beams, strict=True))
         for i, joint in enumerate(self.arm.joints):

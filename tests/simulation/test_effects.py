@@ -23,9 +23,11 @@ def gap(case, x, actual, expected):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("rotating", [False, True])
 @settings(QUICK, max_examples=50)
-@given(affected())
-def test_the_recursion_equals_the_dense_equations_with_every_effect(case):
+@given(data=st.data())
+def test_the_recursion_equals_the_dense_equations_with_every_effect(rotating, data):
+    case = data.draw(affected(rotating=rotating))
     (x, v), work = case.sample.state(), layout.make_work(case.constants)
     expected, torques = case.expected(x, v)
     actual = np.zeros(case.model.n_dof)

@@ -103,7 +103,7 @@ def sensitivities(
     prescribed = scene.prescribed_joints
     directions = [each for name in checked_names("to", to) for each in find_directions(name, model, prescribed)]
     found = _dimension_derivatives(model, directions)
-    constants = with_prescribed(found.constants, prescribed)
+    constants = with_prescribed(found.constants, prescribed, scene.rotates)
     motion, period = _Motion.start(scene, model, directions, settings.rows), (settings.interval, settings.substeps)
     for group in range(-(-len(directions) // DIRECTIONS)):
         integrator = TangentIntegrator(constants, chosen, period, 1, whole=bool(found.strains))
@@ -152,7 +152,7 @@ class _Motion(NamedTuple):
         rows = np.zeros((groups * ARMS_PER_GROUP, last + 1, 2 * model.n_dof + 2))
         rows[::ARMS_PER_GROUP, 0], rows[lanes, 0] = initial_row(scene, model), starts
         tables = np.zeros((len(rows), *pieces.table().shape))
-        tables[lanes, layout.OFFSET] = inputs
+        tables[lanes, layout.OFFSET, : inputs.shape[1]] = inputs
         drives: list[Any] = [_Drive(pieces.times, table) for table in tables]
         drives[::ARMS_PER_GROUP] = [pieces] * groups
         return cls(directions, drives, rows, np.zeros((*rows.shape[:2], layout.OUTPUTS)))
