@@ -39,6 +39,7 @@ class Plant(NamedTuple):
         bandwidth: bandwidth of a first-order lag between commanded and applied torques, Hz; None for no lag.
         rate_limit: largest magnitude of a motor rate in the environment, rad/s.
         named_period: control period of the named environment whose arm this is, s; None for another arm.
+        foundation: `envs.foundation.Travel` of a foundation that the agent moves; None for a fixed one.
     """
 
     model: Model
@@ -53,6 +54,7 @@ class Plant(NamedTuple):
     bandwidth: float | None = None
     rate_limit: float = np.inf
     named_period: float | None = None
+    foundation: Any = None
 
 
 Readings = Mapping[str, NDArray[Any]]
@@ -72,6 +74,7 @@ class EpisodeInfo:
         drawn: name -> (r, ...) randomised true values of these episodes, for privileged controllers only: physical
             parameters in their units without those of `physical_parameters.UNMODELLED`, and the delay of the torques
             in control periods.
+        travel: (r, 2) start and goal of the foundation along its axis, m; None for a fixed foundation.
     """
 
     start: Array
@@ -79,6 +82,7 @@ class EpisodeInfo:
     period: float
     path: Callable[[], Array] | None = None
     drawn: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+    travel: Array | None = None
 
     @cached_property
     def reference(self) -> Array | None:

@@ -21,6 +21,7 @@ from flexman_gym.envs.config.base_and_mode import make_base_and_mode, make_safe
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.reset_options import parse_reset_options, replace_tip_positions
 from flexman_gym.envs.effects import EffectContext
+from flexman_gym.envs.foundation import MovingFoundation
 from flexman_gym.envs.measurements import Measurements
 from flexman_gym.envs.motors import Motors
 from flexman_gym.envs.period import advance
@@ -79,6 +80,7 @@ class Episodes:
         batch: simulated arms.
         view: named quantities of the arms.
         task: task of all arms.
+        foundation: foundations of the arms that the agent moves; None for fixed bases.
         measurements: sensors of the agent and its action mode.
         agent: observations, history, action repeat, action mode and base controller.
         effects: disturbances and parameter draws enabled by the randomisation and by the task; None without any.
@@ -96,10 +98,17 @@ class Episodes:
         excess: (b,) largest excess at the end of the last control period, see `Limits.excess`; 0 if not recorded.
     """
 
-    state_fields = ("batch", "motors", "effects", "view", "measurements", "over", "truncated", "ages", "_failed")
+    state_fields: tuple[str, ...] = (
+        "batch", "motors", "effects", "view", "measurements", "over", "truncated", "ages", "_failed",
+    )  # fmt: skip
 
     def __init__(self, configuration: Configuration, batch: Batch) -> None:
         self.batch, self.task, self.view = batch, configuration.task, View(batch, configuration.slew_time)
+        self.foundation: MovingFoundation | None = None
+        if configuration.foundation is not None:
+            self.foundation = MovingFoundation(configuration.foundation, len(batch.rows), batch.control_period)
+            self.state_fields = (*self.state_fields, "foundation")
+        self.view.foundation = self.foundation
         self._compute_reward_terms = make_reward_terms(configuration.task, configuration.reward)
         self._reward_terms: dict[str, Number] | None = None  # reward terms of the current state; None until needed
         self._current_view: View | None = None
@@ -257,6 +266,8 @@ class Episodes:
             drawn = self.task.draw(random, view)
             if not isinstance(drawn, dict) or np.shape(drawn.get("start", ())) != (n,):
                 raise value_error("task.draw", drawn, f'a dict with "start", {n} motor angles (rad)')
+            if self.foundation is not None:
+                drawn = drawn | self.foundation.draw(random)
             if limits.workspace is None:
                 return drawn
             goal = self.task.goal({name: np.array([each]) for name, each in drawn.items()}, np.zeros(1), view).target
@@ -272,6 +283,9 @@ class Episodes:
                 view.episode_parameters[name] = np.zeros((len(self.over), *values.shape[1:]), dtype=values.dtype)
             view.episode_parameters[name][arms] = values
         view.target[arms], view.goal_angles[arms] = self.task.goal(parameters, np.zeros(len(arms)), view)
+        if self.foundation is not None:
+            self.foundation.begin(arms, parameters)
+            view.target[arms] = self.foundation.set_targets(arms, view.target[arms])
         view.target_velocity[arms] = view.goal_rates[arms] = 0.0
 
     def _begin_agent(self, arms: IntArray, parameters: Mapping[str, Array], posture: Array) -> None:
@@ -280,9 +294,11 @@ class Episodes:
         path = partial(goal_path, task, parameters, self._path_periods, view) if task.moves else None
         drawn = self.effects.drawn if self.effects else {}
         drawn = {name: values[arms] for name, values in drawn.items() if name not in UNMODELLED}
-        self.agent.reset(
-            arms, EpisodeInfo(parameters["start"], posture, view.control_period, path, drawn), len(self.over)
-        )
+        travel = None
+        if self.foundation is not None:
+            travel = np.hstack([parameters["travel_start"], parameters["travel_goal"]])
+        info = EpisodeInfo(parameters["start"], posture, view.control_period, path, drawn, travel)
+        self.agent.reset(arms, info, len(self.over))
 
     def _check_start(self, arms: IntArray, options: object) -> None:
         """Check that arms are within their limits after a reset."""

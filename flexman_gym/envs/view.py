@@ -35,6 +35,7 @@ class View:
         n_joints: number of joints n.
         reach: sum of the lengths of the links, m.
         lengths: (n,) lengths of the links, m.
+        foundation: `envs.foundation.MovingFoundation` of the arms; None for a fixed base.
         gear_ratios: (n,) turns of the motor shaft per turn of the joint; 1 for a joint without a `Motor`.
         has_gravity: True for an arm under gravity.
         gauge_radii: (n, 3) distances of the gauges of `root_strains` from the axis of the link, m.
@@ -91,6 +92,7 @@ class View:
         model, constants, arms = batch.model, batch.model.constants, len(batch.rows)
         self._batch = batch
         self._one: View | None = None
+        self.foundation: Any = None
         self._springs: tuple[Array, Array, Array] | None = None  # see `Batch.spring_constants`
         self.n_joints, self.control_period, self.slew_time = model.n_joints, batch.control_period, slew_time
         self.lengths, self.reach = constants.length, float(constants.length.sum())
@@ -157,6 +159,11 @@ class View:
     def _name(self, numbers: Iterable[Number]) -> None:
         """Set tip_error, tip_vibration, elastic_energy, energy_residual and energy_turnover from rows (5, b)."""
         (self.tip_error, self.tip_vibration, self.elastic_energy, self.energy_residual, self.energy_turnover) = numbers
+
+    @property
+    def span(self) -> float:
+        """Largest distance of a target from the base, m: the reach, and the way from stop to stop of a foundation."""
+        return self.reach if self.foundation is None else self.reach + self.foundation.settings.travel
 
     @property
     def root_strains(self) -> Array:

@@ -213,7 +213,7 @@ def _input_forces(model: Model, x: Array, tip: Array, names: object) -> tuple[Ar
     columns = [makers[name]() for name in kinds]
     motors = np.array(column_names("motor_torques", INPUT_UNITS["motor_torques"], n, n))[model.constants.passive == 0]
     names = {"motor_torques": motors.tolist()}
-    labels = [names.get(kind) or column_names(kind, INPUT_UNITS[kind], 3, n) for kind in kinds]
+    labels = [names[kind] if kind in names else column_names(kind, INPUT_UNITS[kind], 3, n) for kind in kinds]
     return np.hstack(columns), [label for each in labels for label in each]
 
 

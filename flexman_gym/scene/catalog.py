@@ -23,6 +23,7 @@ __all__ = [
     "apkarian_1998",
     "de_luca_siciliano",
     "flexarm_rome",
+    "gantry",
     "gifu_2link",
     "gu_2005",
     "moberg_2005",
@@ -56,6 +57,8 @@ flexarm_rome = named_arm("flexarm_rome")
 """FLEXARM of the University of Rome: a rigid link, then a flexible link."""
 de_luca_siciliano = named_arm("de_luca_siciliano")
 """Two-link arm of De Luca and Siciliano."""
+gantry = named_arm("gantry")
+"""Cantilever bridge on the portal of a gantry crane, with a load on a rope; its portal travels."""
 gifu_2link = named_arm("gifu_2link")
 """Arm of Gifu University: three joints, two flexible rods of 0.44 m."""
 nasa_beam = named_arm("nasa_beam")

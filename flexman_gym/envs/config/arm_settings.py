@@ -170,7 +170,7 @@ def arm_torque_limits(arm: Arm, given: Any = None) -> tuple[float, ...]:
             raise value_error("torque_limit", None, allowed)
     elif several and len(given) == arm.n_joints:
         given = [given[i] for i in motors]
-    limits = dict(zip(motors, torque_limits("torque_limit", given, len(motors)), strict=True))
+    limits = dict(zip(motors, torque_limits("torque_limit", given, len(motors)) if motors else (), strict=True))
     return tuple(limits.get(i, 0.0) for i in range(arm.n_joints))
 
 

@@ -5,6 +5,7 @@ import warnings
 from flexman_gym.agent.action_modes import ActionMode, make_action_mode
 from flexman_gym.agent.base_controllers import make_base
 from flexman_gym.agent.controller import Controller
+from flexman_gym.agent.foundation_mode import FoundationMode
 from flexman_gym.agent.pd import PD
 from flexman_gym.common.errors import warn_caller
 from flexman_gym.common.registry import load_entry
@@ -25,7 +26,11 @@ def make_base_and_mode(configuration: Configuration, model: Model) -> tuple[Cont
         base = make_base(base, plant)
         if isinstance(base, PD) and (text := base.unstable(model, plant.period, configuration.max_delay)):
             warnings.warn(text, stacklevel=2)
-    return base, make_action_mode(configuration.actions, plant, base)
+    mode = make_action_mode(configuration.actions, plant, base)
+    travel = configuration.foundation
+    if travel is not None:
+        mode = FoundationMode(mode, base, travel.names, travel.speed, travel.acceleration)
+    return base, mode
 
 
 def make_safe(configuration: Configuration, model: Model, base: Controller | None, mode: ActionMode) -> ActionMode:

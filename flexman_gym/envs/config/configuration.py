@@ -29,7 +29,7 @@ from flexman_gym.scene.input_checks import warn_unusual_units
 from flexman_gym.scene.serialization import SUFFIXES, URDF, find_arm, to_plain
 from flexman_gym.simulation.integrator import default_step
 
-NESTED_SETTINGS = ("arm", "task", "limits")  # settings with fields, such as arm.payload.mass
+NESTED_SETTINGS = ("arm", "task", "limits", "foundation")  # settings with fields, such as arm.payload.mass
 DERIVED = ("control_period", "horizon", "limits", "slew_time")  # settings that follow from an arm of the user
 MAX_PERIODS = 10**9  # control periods; longest episode
 HINTS = {foreign: hint for setting in SETTINGS.values() for foreign, hint in setting.foreign.items()}
@@ -103,8 +103,8 @@ class Configuration(EnvironmentSettings):
     def _check_joints(self) -> None:
         """Check what passive joints exclude, and store the torque limits."""
         passive = [joint.passive for joint in self.arm.joints]
-        if all(passive):
-            raise value_error("arm.joints", "passive joints", "at least one joint with a motor")
+        if all(passive) and self.foundation is None:
+            raise value_error("arm.joints", "passive joints", "a joint with a motor, or the setting foundation")
         if any(passive):
             because = f": joint {passive.index(True) + 1} of the arm is passive"
             if self.task.moves:
@@ -113,6 +113,8 @@ class Configuration(EnvironmentSettings):
                 raise value_error("safety", self.safety, f"False{because}")
             if isinstance(self.actions, str | dict) and self.actions != "torque":  # an object is the user's own
                 raise value_error("actions", self.actions, f"'torque'{because}")
+        if self.foundation is not None and self.safety:
+            raise value_error("safety", self.safety, "False: the foundation of the arm moves")
         vars(self)["torque_limit"] = arm_torque_limits(self.arm, self.torque_limit)
 
     def _derive_settings(self) -> dict[str, Any]:
@@ -400,6 +402,8 @@ class Configuration(EnvironmentSettings):
             ValueError: without the setting, for such an arm if no gains have stability margins at the control period.
         """
         named, gains = NAMED_ENVIRONMENTS[self.id], self.gains
+        if gains is None and not any(self.torque_limit):  # passive joints only: the agent commands the foundation
+            return dict.fromkeys(("stiffness", "damping"), (0.0,) * self.arm.n_joints)
         if gains is None and not self.has_named_motors:
             if self._given.get("settings") == "named":
                 allowed = f"those of this arm, which flexman optimise gains finds: {self.id} has other links or motors"

@@ -14,6 +14,7 @@ from flexman_gym.agent.controller import checked_controller
 from flexman_gym.common.checks import finite, flag, one_of, physical, positive, sequence, text, whole_number
 from flexman_gym.common.errors import value_error
 from flexman_gym.envs.config.randomisation import Randomisation
+from flexman_gym.envs.foundation import find_foundation, plain_foundation
 from flexman_gym.envs.limits import Limits
 from flexman_gym.envs.sensors import find_sensors, plain_sensors
 from flexman_gym.envs.tasks import Task, find_task, plain_task
@@ -211,6 +212,11 @@ class EnvironmentSettings:
         "its arguments. A servo acts in every control period: with control_period=0.002 and action_repeat=10 at 500 "
         "Hz, below an agent at 50 Hz.",
         _actions_setting, named=True,
+    )
+    foundation: Any = _setting(
+        "Travel of the foundation, which the agent commands. A mapping with 'travel' at 'kind', and axis, speed (m/s), "
+        "acceleration (m/s^2) and travel (m, the distance of the stops from the middle); None for a fixed foundation.",
+        find_foundation, named=True, plain=plain_foundation,
     )
     clip_actions: bool = _setting(
         "True to clip actions beyond the range from -1 to 1; False to refuse them with an error. NaN and infinite "

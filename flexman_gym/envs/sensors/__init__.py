@@ -10,6 +10,7 @@ from flexman_gym.common.registry import Registry
 from flexman_gym.envs.sensors.flaws import FLAWS, Flaws
 from flexman_gym.envs.sensors.ideal import (
     FineScale,
+    FoundationState,
     FullState,
     GoalCommand,
     LastAction,
@@ -33,6 +34,7 @@ SENSORS: Registry[Callable[[], Sensor]] = Registry(
         "accelerometer": lambda: Quantities(("tip_acceleration",)),
         "tip": lambda: Instrument(Quantities(("tip",)), every=2, delay=1),
         "command": GoalCommand,
+        "foundation": FoundationState,
         "action": LastAction,
     },
 )
@@ -113,6 +115,7 @@ __all__ = [
     "Entry",
     "FineScale",
     "Flaws",
+    "FoundationState",
     "FullState",
     "GoalCommand",
     "Instrument",

@@ -9,6 +9,7 @@ import numpy as np
 
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import one_of, sequence, set_fields
+from flexman_gym.common.errors import value_error
 from flexman_gym.envs.limits import Limits
 from flexman_gym.envs.sensors.sensor import Entry, measurement_ranges
 from flexman_gym.envs.view import View
@@ -83,7 +84,7 @@ class FullState:
         return [
             *(Entry(name, len(bound), view.units[name], bound) for name, bound in bounds.items()),
             Entry("angle_errors", n, "rad", 2 * limits.angle),
-            Entry("target_error", 3, "m", 2 * view.reach),
+            Entry("target_error", 3, "m", 2 * view.span),
             Entry("target_nearness", 3, "1", 1.0),
             Entry("tip_velocity", 3, "m/s", speed),
         ]
@@ -118,7 +119,7 @@ class FineScale:
         largest = {
             **{name: bounds[name] for name in view.slices if name not in ("motor_angles", "tip_velocity")},
             "angle_errors": np.full(view.n_joints, 2 * limits.angle),
-            "target_error": np.full(3, 2 * view.reach),
+            "target_error": np.full(3, 2 * view.span),
             "tip_velocity": bounds["tip_velocity"],
         }
         self._scales = np.concatenate([np.full(len(largest[name]), scale) for name, scale in _scales(view, limits)])
@@ -205,7 +206,7 @@ class GoalCommand:
         return [
             Entry("angle_command", view.n_joints, "rad", limits.angle),
             Entry("rate_command", view.n_joints, "rad/s", limits.rate),
-            Entry("tip_command", 3, "m", (1.0 + limits.deflection) * view.reach),
+            Entry("tip_command", 3, "m", (1.0 + limits.deflection) * view.reach + 2.0 * (view.span - view.reach)),
             Entry("tip_velocity_command", 3, "m/s", limits.tip_speed),
         ]
 
@@ -214,6 +215,28 @@ class GoalCommand:
         n = view.n_joints
         out[:, :n], out[:, n : 2 * n] = view.goal_angles, view.goal_rates
         out[:, -6:-3], out[:, -3:] = view.target, view.target_velocity
+
+
+@dataclass
+class FoundationState:
+    """Foundation on a servo: its position, its velocity, and the error of its position, along its axis."""
+
+    measures: ClassVar[tuple[str, ...]] = ()
+
+    def entries(self, view: View, limits: Limits) -> Sequence[Entry]:
+        """Return the entries; raise ValueError for an arm whose foundation an agent does not move."""
+        if view.foundation is None:
+            raise value_error("sensors", "foundation", "a sensor for an environment with the setting foundation")
+        travel = view.foundation.settings
+        return [
+            Entry("travel", 1, "m", travel.travel),
+            Entry("travel_rate", 1, "m/s", travel.speed),
+            Entry("travel_error", 1, "m", 2.0 * travel.travel),
+        ]
+
+    def read(self, view: View, out: Array) -> None:
+        """Write the readings into out (b, 3)."""
+        out[:] = view.foundation.readings
 
 
 @dataclass

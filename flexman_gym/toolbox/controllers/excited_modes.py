@@ -4,7 +4,9 @@ import numpy as np
 
 from flexman_gym.common.arrays import Array, Vector
 from flexman_gym.common.checks import flag, physical
+from flexman_gym.model.dynamics import inertial_forces
 from flexman_gym.model.model import Model, check_model
+from flexman_gym.model.statics import rest_state
 from flexman_gym.model.vibration import Eigenpairs, EquilibriumMatrices
 
 RIGID_MODE_RATIO = 0.5  # fraction of the lowest frequency with held motors; slower modes are rigid-body motion
@@ -53,6 +55,24 @@ def excited_modes(model: Model, posture: Vector, held: bool = True, servo: float
     return _observable_modes(
         Eigenpairs(eigen.values[above], eigen.shapes[above]), eigen.shapes[np.ix_(above, motors)], resting.tip
     )
+
+
+def travel_modes(model: Model, posture: Vector, axis: Vector) -> Array:
+    """Return the modes (k, 3) of an arm with held motors that the travel of its base excites, the lowest first.
+
+    Columns as in `excited_modes`; the tip amplitude, m, is that after a change of the velocity by 1 m/s.
+
+    Args:
+        model: model of the arm.
+        posture: (n,) motor angles, rad.
+        axis: (3,) direction of the travel, base frame.
+    """
+    resting = EquilibriumMatrices.of(check_model(model), posture)
+    rest = np.zeros(model.n_dof)
+    inertial = inertial_forces(model, np.array(axis))(rest_state(model, posture)[: model.n_dof], rest, rest)
+    eigen = resting.oscillatory_modes(resting.free)
+    amplitudes = eigen.shapes @ inertial[resting.free]
+    return _observable_modes(eigen, amplitudes[:, None], resting.tip[:, resting.free])
 
 
 def _servo_modes(resting: EquilibriumMatrices, bandwidth: float) -> Array:

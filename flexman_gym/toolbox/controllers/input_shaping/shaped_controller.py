@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Mapping
 from functools import reduce
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,8 @@ from flexman_gym.common.checks import non_negative, sample_count, sequence, vect
 from flexman_gym.common.errors import value_error
 from flexman_gym.model.model import Model, check_model
 from flexman_gym.model.statics import rest_state, rest_tips
-from flexman_gym.toolbox.controllers.excited_modes import excited_modes
+from flexman_gym.toolbox.controllers.excited_modes import excited_modes, travel_modes
+from flexman_gym.toolbox.controllers.input_shaping.shaped_travel import ShapedTravel
 from flexman_gym.toolbox.controllers.input_shaping.shapers import (
     DEFAULT_TOLERANCE,
     Shaper,
@@ -81,6 +82,7 @@ class InputShapedController:
         for frequency, ratio in [(1.0, 0.0)] if given is None else given.tolist():
             design_shaper(shaper, frequency, ratio, tolerance)  # checks the arguments
         self.shaper, self.tolerance = shaper, tolerance
+        self._travel: ShapedTravel | None = None
         self._commands: list[_Command] = []
         self._now = np.zeros(0, dtype=np.int64)
 
@@ -95,6 +97,8 @@ class InputShapedController:
             self._commands += [command] * (arm + 1 - len(self._commands))
             self._commands[arm] = command
             self.inner.reset(np.array([arm]), EpisodeInfo(start[None], goal[None], episode.period, command.path), count)
+            if self._travel is not None and episode.travel is not None:
+                self._travel.begin(arm, goal, episode.travel[row], episode.period)
 
     def act(self, readings: Readings, applied: Array, active: BoolArray) -> NDArray[Any]:
         """Return the actions (b, n) of the inner controller for the shaped command; arguments as in `Controller.act`.
@@ -105,6 +109,23 @@ class InputShapedController:
         shaped = self._shaped(readings)
         self._now += active
         return self.inner.act(shaped, applied, active)
+
+    def shape_travel(self, foundation: Any) -> Self:
+        """Shape the motion of a foundation, `envs.foundation.Travel`, too; None for a fixed one. Returns itself."""
+        self._travel = None if foundation is None else ShapedTravel(foundation, self._travel_shaper)
+        return self
+
+    def travel(self, readings: Readings, active: BoolArray) -> Array:
+        """Return the commanded velocities (b, 1) of the foundations as fractions of the largest, see FoundationMode."""
+        assert self._travel is not None
+        return self._travel.commands(readings, self._now)
+
+    def _travel_shaper(self, posture: Array, axis: Vector) -> Shaper:
+        """Return the shaper for the modes at a posture (n,), rad, that a travel along an axis (3,) excites."""
+        modes = self._given_modes
+        if modes is None:
+            modes = travel_modes(self.model, posture, axis)[: self._count, :2]
+        return self._of_modes(modes)
 
     def skip(self, active: BoolArray) -> None:
         """Advance the commands of the active arms by a control period without readings, see `Controller`."""
@@ -170,6 +191,10 @@ class InputShapedController:
         if modes is None:
             found = [excited_modes(self.model, posture)[: self._count, :2] for posture in postures]
             modes = np.mean([each[: min(map(len, found))] for each in found], axis=0)
+        return self._of_modes(modes)
+
+    def _of_modes(self, modes: Array) -> Shaper:
+        """Return the shaper for modes (k, 2): frequencies (Hz) and damping ratios."""
         if not len(modes):
             raise value_error("InputShapedController.modes", self._count, "modes of a flexible arm: this arm has none")
         shapers = [design_shaper(self.shaper, each, ratio, self.tolerance) for each, ratio in modes.tolist()]
@@ -186,7 +211,8 @@ class InputShapedController:
         else:
             plain, before = path, path[0]
             postures = path[np.rint(np.array(self.places) * (len(path) - 1)).astype(int)]
-        fractions = self.combined(postures).sample(period)
+        without_motors = self.model.constants.passive.all()
+        fractions = np.ones(1) if without_motors else self.combined(postures).sample(period)
         if path is None:
             plain = np.vstack([plain, np.repeat(goal[None], len(fractions) + REST_PERIODS, axis=0)])
         rates = np.diff(plain, axis=0, prepend=plain[:1]) / period
@@ -234,7 +260,7 @@ def _parse_modes(value: object) -> Array:
 
 def _make(plant: Plant, **given: Any) -> InputShapedController:
     gains = {name: given.pop(name) for name in ("stiffness", "damping") if name in given}
-    return InputShapedController(make_pd(plant, **gains), plant.model, **given)
+    return InputShapedController(make_pd(plant, **gains), plant.model, **given).shape_travel(plant.foundation)
 
 
 ENTRY = ControllerEntry(
@@ -243,4 +269,5 @@ ENTRY = ControllerEntry(
     ("stiffness", "damping", "shaper", "modes", "places", "duration"),
     "the PD with an input shaper (ZVD) for the lowest mode of the nominal arm",
     "that of the PD",
+    passive=True,
 )
