@@ -76,8 +76,8 @@ def test_frequencies_of_the_swing_are_those_of_a_compound_pendulum():
 def test_the_swing_of_the_flexible_crane_is_near_that_of_a_point_mass(posture):
     """sqrt(g / L), L from joint to load.
 
-    The hook, 6 % of the mass, raises it by less than 0.3 %; booms and drives, whose first vertical frequency is at least
-    1.8 Hz, lower it: a horizontal compliance c of the boom tip acts as a rope longer by m g c, up to 3 %.
+    The hook, 6 % of the mass, raises it by less than 0.3 %; booms and drives, with a first vertical frequency of at
+    least 1.8 Hz, lower it: a horizontal compliance c of the boom tip acts as a rope longer by m g c, up to 3 %.
     """
     model = fm.build_model(fm.catalog.loader_crane())
     found = fm.modes(model, posture, motors="held").frequencies[:2]

@@ -89,8 +89,8 @@ FAMILIES = (
     Family(
         "FlexCrane",
         "FlexCrane: a loader crane with a load on a rope",
-        "A small loader crane slews and lifts a load that hangs below its second boom. The three motors of column, lift "
-        "and knuckle have elastic drives, both booms bend, and the two joints of the hook have no motor. The load is "
+        "A small loader crane slews and lifts a load that hangs below its second boom. The motors of column, lift and "
+        "knuckle have elastic drives, both booms bend, and the two joints of the hook have no motor. The load is "
         "the tip of the arm, so that its swing is part of the tip error.",
         ("FlexCrane-v0",),
     ),
@@ -127,7 +127,9 @@ def _actions(family: Family) -> list[str]:
     """Return the table of the actions, with the torque limits of each environment."""
     if family.environments == ("FlexRotary-v0",):
         return _voltages(family.environments[0])
-    limits = {name: tuple(each for each in make(name).configuration.torque_limit if each) for name in family.environments}
+    limits = {
+        name: tuple(each for each in make(name).configuration.torque_limit if each) for name in family.environments
+    }
     groups = _groups(limits)
     rows = []
     for i in range(max(map(len, groups))):

@@ -70,7 +70,6 @@ BASELINES = {"no torque": "zero", "PD": "pd", "tracking LQR": "lqr-tracking"}
 """Name of a baseline on the pages -> agent. The tracking LQR is given the parameters and the state of the arm."""
 
 
-
 def baselines_of(name: str) -> dict[str, str]:
     """Return the baselines of an environment, name -> agent; the tracking LQR needs a motor at each joint."""
     passive = any(joint.passive for joint in NAMED_ENVIRONMENTS[name].arm.joints)
@@ -144,7 +143,7 @@ def model_error(name: str) -> ModelError:
 
 
 def draw(runs: Mapping[str, Rollout], path: Path) -> None:
-    """Plot tip error and torques of an episode under each baseline, and record PD and, if given, tracking LQR as a GIF."""
+    """Plot tip error and torques of an episode of each baseline, and record PD and, if given, tracking LQR as a GIF."""
     pair = [runs[baseline].episode(0) for baseline in ("PD", "tracking LQR") if baseline in runs]
     frames = side_by_side(pair, SIZE, RATE, SECONDS, HOLD, suggested_gain(pair))
     write_video(frames, path.with_suffix(".gif"), RATE)
