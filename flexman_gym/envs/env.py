@@ -39,7 +39,8 @@ class FlexManEnv(StatefulEnv, gym.Env[Observation, Observation]):
         FlexOne-v0     textbook case: one strip of 0.8 m on one flexible joint, in a horizontal plane, 50 Hz
         FlexQuanser-v0 laboratory arm: two steel strips in a horizontal plane with its motors and sensors, 100 Hz
         FlexRotary-v0  laboratory arm: a strip on a motor driven by its voltage, 500 Hz
-        `envs.NAMED_ENVIRONMENTS` has the settings of each. The last three have the reward "distance" (see `Slew`).
+        FlexCrane-v0   loader crane with two flexible booms and a load on a rope, 100 Hz; hook joints without motors
+        `envs.NAMED_ENVIRONMENTS` has the settings of each. The last four have the reward "distance" (see `Slew`).
 
     Arm
         Three-link arm after Table 1 of the paper, 8.5 m, with flexible links and joints (stiffness 5000 N m/rad),

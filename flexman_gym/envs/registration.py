@@ -19,6 +19,7 @@ IDS = (
     "FlexQuanser-v0",
     "FlexRotary-v0",
     "FlexGantry-v0",
+    "FlexCrane-v0",
 )
 NOMINAL = "nominal"  # name of the condition without changes
 CONDITIONS = (NOMINAL, *sorted({path.stem for path in CONDITION_FOLDER.glob("*/*.yaml")}))

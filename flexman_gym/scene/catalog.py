@@ -26,6 +26,7 @@ __all__ = [
     "gantry",
     "gifu_2link",
     "gu_2005",
+    "loader_crane",
     "moberg_2005",
     "nasa_beam",
     "one_joint",
@@ -77,6 +78,8 @@ rome_elastic_joint = named_arm("rome_elastic_joint")
 """Flexible link on an elastic joint of the University of Rome: one link of 0.7 m in a horizontal plane."""
 wernholt_2006 = named_arm("wernholt_2006")
 """Axis of an industrial robot identified by Wernholt and Gunnarsson: motor, gear and arm in a chain, motor side."""
+loader_crane = named_arm("loader_crane")
+"""Small loader crane: two flexible booms of 1.6 m on elastic drives, and a load on a rope from a universal joint."""
 TOOL = Payload(0.1)
 """Payload of `vertical_2r`, 0.1 kg."""
 LIGHT_TOOL = Payload(0.05)

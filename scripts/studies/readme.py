@@ -70,6 +70,7 @@ ARMS = {
     "FlexOne": "one flexible link, one flexible joint, the textbook case",
     "FlexQuanser": "two flexible links, horizontal plane, a real machine",
     "FlexRotary": "one flexible link, motor driven by its voltage",
+    "FlexCrane": "loader crane, two flexible booms, a load on a rope without motors",
 }
 TASKS = {
     "Slew": "move to a target and settle",

@@ -78,7 +78,7 @@ def test_without_keywords_an_environment_is_its_entry(name):
     setup, named = gym.make(name).unwrapped.configuration, NAMED_ENVIRONMENTS[name]
     assert (setup.arm, setup.task, setup.limits) == (named.arm, named.task, named.limits)
     assert (setup.control_period, setup.horizon) == (named.control_period, named.horizon)
-    assert setup.torque_limit == tuple(joint.torque_limit for joint in named.arm.joints)
+    assert setup.torque_limit == tuple(joint.torque_limit or 0.0 for joint in named.arm.joints)
     assert setup.max_periods == named.horizon / named.control_period
     assert (setup.action_repeat, setup.base) == (1, None)
 

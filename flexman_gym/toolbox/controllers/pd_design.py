@@ -78,10 +78,16 @@ def design_pd(configuration: Configuration) -> dict[str, tuple[float, ...]]:
         gains = PDDesign(environment).gains()
     else:
         gains = _stored_gains(plain)
-    of_motors, motors = np.split(gains, 2), [not joint.passive for joint in environment.arm.joints]
-    result = np.zeros((2, len(motors)))  # passive joints have no gains
+    stiffness, damping = joint_gains(environment, np.array(np.split(gains, 2))).tolist()
+    return {"stiffness": tuple(stiffness), "damping": tuple(damping)}
+
+
+def joint_gains(environment: Configuration, of_motors: Array) -> Array:
+    """Return the gains (k, n) of all joints, 0 for passive ones, from those of the motors (k, m)."""
+    motors = [not joint.passive for joint in environment.arm.joints]
+    result = np.zeros((len(of_motors), len(motors)))
     result[:, motors] = of_motors
-    return {"stiffness": tuple(result[0].tolist()), "damping": tuple(result[1].tolist())}
+    return result
 
 
 @lru_cache(maxsize=64)

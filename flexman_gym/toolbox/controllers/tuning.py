@@ -24,7 +24,7 @@ from flexman_gym.simulation.batch import Batch
 from flexman_gym.toolbox.controllers.arm_scales import ArmScales
 from flexman_gym.toolbox.controllers.lqr import LQR
 from flexman_gym.toolbox.controllers.margins import MIN_MARGINS, Margins, SampledLoop, has_margins, margins
-from flexman_gym.toolbox.controllers.pd_design import PDDesign
+from flexman_gym.toolbox.controllers.pd_design import PDDesign, joint_gains
 from flexman_gym.toolbox.controllers.references.optimised_slews import (
     OptimisedController,
     SingleShooting,
@@ -101,16 +101,17 @@ def tune(
             gains = np.vstack([gains, near])
     stiffness, damping = np.split(gains[np.argmax(returns)], 2)
     reached = margins(design.loops, stiffness, damping)
+    stiffness, damping = joint_gains(environment, np.array([stiffness, damping]))
     return TunedGains(tuple(stiffness.tolist()), tuple(damping.tolist()), float(returns.max()), reached)
 
 
 def _draw_near(random: np.random.Generator, best: Array, deviation: float, design: PDDesign) -> Array:
-    """Return gains (2 n,) near the best ones, within the bounds of the design."""
+    """Return gains (2 m,) of the motors near the best ones, within the bounds of the design."""
     return design.bounded(best * np.exp(deviation * random.standard_normal(len(best))))
 
 
 def _draw_gains(loops: Sequence[SampledLoop], count: int, draw: Callable[[], Array]) -> Array:
-    """Return at most `count` drawn gains (count, 2 n), those with MIN_MARGINS in all loops."""
+    """Return at most `count` drawn gains (count, 2 m), those with MIN_MARGINS in all loops."""
     result: list[Array] = []
     for _ in range(DRAWS * count):
         gains = draw()
@@ -123,16 +124,17 @@ def _draw_gains(loops: Sequence[SampledLoop], count: int, draw: Callable[[], Arr
 
 
 def _gain_returns(environment: Configuration, gains: Array, episodes: int, workers: Workers | int = 1) -> Array:
-    """Return the mean return (c,) of c candidate gains (c, 2 n) over the episodes with seeds 0 to `episodes` - 1."""
+    """Return the mean returns (c,) of c gains (c, 2 m) of the motors over the episodes of seeds 0 to `episodes` - 1."""
     parts = [(environment, gains[i : i + BLOCK_CANDIDATES], episodes) for i in range(0, len(gains), BLOCK_CANDIDATES)]
     return np.concatenate(parallel_map(_block_returns, parts, workers, prepare=compile_kernels))
 
 
 def _block_returns(block: tuple[Configuration, Array, int]) -> Array:
-    """Return the mean returns (c,) in one rollout of environment, candidate gains (c, 2 n) and number of episodes."""
+    """Return the mean returns (c,) in one rollout of environment, candidate gains (c, 2 m) and number of episodes."""
     environment, gains, episodes = block
-    stiffness, damping = np.split(np.repeat(gains, episodes, axis=0), 2, axis=1)
-    zeros, model = [0.0] * (gains.shape[1] // 2), resolve_fidelity(environment).model
+    of_motors = np.split(np.repeat(gains, episodes, axis=0), 2, axis=1)
+    stiffness, damping = (joint_gains(environment, each) for each in of_motors)
+    zeros, model = [0.0] * environment.arm.n_joints, resolve_fidelity(environment).model
     base = make_base({"kind": "pd", "stiffness": zeros, "damping": zeros}, make_plant(environment, model))
     assert isinstance(base, PD)
     base.stiffness, base.damping = stiffness, damping  # (b, n) gains of each arm, which settings cannot express

@@ -14,7 +14,7 @@ from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.envs.tasks import Slew
 from flexman_gym.scene import catalog
 from flexman_gym.scene.link import Link
-from studies.environments.measure import DURATION, Baseline, ModelError
+from studies.environments.measure import DURATION, Baseline, ModelError, baselines_of
 from studies.environments.text import (
     arm_facts,
     baseline_table,
@@ -86,6 +86,14 @@ FAMILIES = (
         "An action is a voltage, and encoder and strain gauge are read at 500 Hz.",
         ("FlexRotary-v0",),
     ),
+    Family(
+        "FlexCrane",
+        "FlexCrane: a loader crane with a load on a rope",
+        "A small loader crane slews and lifts a load that hangs below its second boom. The motors of column, lift and "
+        "knuckle have elastic drives, both booms bend, and the two joints of the hook have no motor. The load is "
+        "the tip of the arm, so that its swing is part of the tip error.",
+        ("FlexCrane-v0",),
+    ),
 )
 
 
@@ -119,7 +127,9 @@ def _actions(family: Family) -> list[str]:
     """Return the table of the actions, with the torque limits of each environment."""
     if family.environments == ("FlexRotary-v0",):
         return _voltages(family.environments[0])
-    limits = {name: tuple(make(name).configuration.torque_limit) for name in family.environments}
+    limits = {
+        name: tuple(each for each in make(name).configuration.torque_limit if each) for name in family.environments
+    }
     groups = _groups(limits)
     rows = []
     for i in range(max(map(len, groups))):
@@ -223,8 +233,11 @@ def _environment(name: str, baselines: Sequence[Baseline], errors: Sequence[Mode
     values = {"kind": kind.lower()} | {key: value for key, value in vars(named.task).items() if not key.startswith("_")}
     shown = textwrap.wrap(f"task = {json.dumps(values)}", 100, subsequent_indent=8 * " ")
     description = docstring_sections(type(named.task))["Description"]
-    picture = f"{name}: PD controller at the left, tracking LQR at the right, tip errors below"
-    chart = f"{name}: tip error and largest torque of an episode without torque, with the PD, and with the tracking LQR"
+    both = "tracking LQR" in baselines_of(name)
+    seen = "PD controller at the left, tracking LQR at the right, tip errors below" if both else "PD controller"
+    picture = f"{name}: {seen}"
+    controllers = "with the PD, and with the tracking LQR" if both else "and with the PD"
+    chart = f"{name}: tip error and largest torque of an episode without torque, {controllers}"
     task = f"Task [{kind}](tasks.md#{kind.lower()}), control period {named.control_period:g} s, episodes of "
     return [
         f"![{picture}]({name}.gif){{ width=464 }}", "", *description, "",

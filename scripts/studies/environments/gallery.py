@@ -11,7 +11,7 @@ from flexman_gym.envs.sensors import SENSOR_NAMES
 from flexman_gym.envs.tasks import TASKS
 from flexman_gym.metrics import BAND, SETTLING_WINDOW, VIBRATION_WINDOW
 from studies.environments.family import ACTION_SECONDS, ARMS, FAMILIES, RECIPE
-from studies.environments.measure import DURATION, FINER, LONG, MOTIONS, SEEDS, Baseline
+from studies.environments.measure import DURATION, FINER, LONG, MOTIONS, SEEDS, Baseline, baselines_of
 from studies.environments.text import (
     docstring_sections,
     episodes_text,
@@ -30,6 +30,7 @@ ARMS_TEXT = {
     "FlexOne": "one strip, 0.8 m, in a horizontal plane",
     "FlexQuanser": "laboratory arm with two strips, 0.56 m",
     "FlexRotary": "strip on a motor driven by its voltage, 0.38 m",
+    "FlexCrane": "loader crane with a load on a rope, booms of 3.2 m",
 }
 TASKS_TEXT = {
     "Slew": "move the tip to a target and stop it there",
@@ -46,7 +47,7 @@ hide:
 {count} environments differ in the arm and in the task. Each is made by `gym.make(id)`;
 `gym.make_vec(id, 256, "vector_entry_point")` simulates 256 arms at once. In each picture the PD controller acts at
 the left and the tracking LQR at the right, on the same episode; the chart below shows the distance of the tip from its
-target.
+target. FlexCrane-v0 has joints without motors, which the LQR refuses, and shows the PD alone.
 """
 
 REPLAY = """## An episode in the browser
@@ -65,7 +66,8 @@ def gallery_page(baselines: Sequence[Baseline]) -> str:
     pages = {name: family.file for family in FAMILIES for name in family.environments}
     for name in NAMED_ENVIRONMENTS:
         link = f"{pages[name]}.md#{name.lower()}"
-        lines += [f"[![{name}: PD and tracking LQR on the same episode]({name}.gif)]({link})",
+        seen = "PD and tracking LQR on the same episode" if "tracking LQR" in baselines_of(name) else "PD"
+        lines += [f"[![{name}: {seen}]({name}.gif)]({link})",
                   f"[**{name}**]({link}): {_task(name)}", ""]  # fmt: skip
     lines += ["</div>", "", *_table(pages, baselines), "", *_definitions(baselines), "", *REPLAY.splitlines(), ""]
     lines += ["## Sensors", "", *_sensors(), "", "## Conditions", "", *_conditions(), ""]
@@ -92,10 +94,10 @@ def _table(pages: dict[str, str], baselines: Sequence[Baseline]) -> list[str]:
     """Return the table of all environments, with the results of PD and tracking LQR."""
     rows = []
     for name, named in NAMED_ENVIRONMENTS.items():
-        sizes = f"{len(make(name).sensors.bound)} / {len(make(name).configuration.torque_limit)}"
+        sizes = f"{len(make(name).sensors.bound)} / {make(name).action_space.shape[0]}"
         arm = ARMS_TEXT[name.split("-")[0]] + (", on earth" if "Gravity" in name else "")
-        results = [_result(row) for row in baselines
-                   if row.environment == name and row.baseline in ("PD", "tracking LQR")]  # fmt: skip
+        found = {row.baseline: _result(row) for row in baselines if row.environment == name}
+        results = [found.get(each, "-") for each in ("PD", "tracking LQR")]
         rate = f"{1.0 / named.control_period:g} Hz"
         rows.append((f"[{name}]({pages[name]}.md#{name.lower()})", arm, type(named.task).__name__.lower(), rate, sizes,
                      *results))  # fmt: skip

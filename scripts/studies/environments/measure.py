@@ -12,6 +12,7 @@ import numpy as np
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.plot_style import BLUE, RED, SLATE, save_figure
 from flexman_gym.envs.config.configuration import Configuration
+from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.evaluation.metrics import METRICS
 from flexman_gym.evaluation.rollouts import TEST_SEEDS, Rollout, rollout
 from flexman_gym.kernels import layout
@@ -67,6 +68,14 @@ def accuracy(name: str, **arguments: Any) -> Accuracy:
 
 BASELINES = {"no torque": "zero", "PD": "pd", "tracking LQR": "lqr-tracking"}
 """Name of a baseline on the pages -> agent. The tracking LQR is given the parameters and the state of the arm."""
+
+
+def baselines_of(name: str) -> dict[str, str]:
+    """Return the baselines of an environment, name -> agent; the tracking LQR needs a motor at each joint."""
+    passive = any(joint.passive for joint in NAMED_ENVIRONMENTS[name].arm.joints)
+    return {each: agent for each, agent in BASELINES.items() if not passive or each != "tracking LQR"}
+
+
 LONG, LONG_NAME = 30.0, "PD, episodes of 30 s"  # s; horizon in which the PD of FlexRRR-v0 settles; name of its row
 SEEDS = TEST_SEEDS
 SIZE, RATE, SECONDS, HOLD = (480, 360), 10.0, 5.0, 2.0  # pixels, 1/s, s, s
@@ -134,12 +143,14 @@ def model_error(name: str) -> ModelError:
 
 
 def draw(runs: Mapping[str, Rollout], path: Path) -> None:
-    """Plot tip error and torques of an episode under each baseline, and record PD and tracking LQR as a GIF."""
-    pair = [runs[baseline].episode(0) for baseline in ("PD", "tracking LQR")]
+    """Plot tip error and torques of an episode of each baseline, and record PD and, if given, tracking LQR as a GIF."""
+    pair = [runs[baseline].episode(0) for baseline in ("PD", "tracking LQR") if baseline in runs]
     frames = side_by_side(pair, SIZE, RATE, SECONDS, HOLD, suggested_gain(pair))
     write_video(frames, path.with_suffix(".gif"), RATE)
     figure, ((left, right),) = new_chart((7.6, 2.7), columns=2)
     for baseline, colour in (("no torque", SLATE), ("PD", BLUE), ("tracking LQR", RED)):
+        if baseline not in runs:
+            continue
         episode = runs[baseline].episode(0)
         left.semilogy(episode.time, np.maximum(1e3 * episode.errors, LEAST), color=colour, label=baseline)
         if baseline != "no torque":

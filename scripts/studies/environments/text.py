@@ -12,6 +12,8 @@ from flexman_gym.common.markdown import markdown_table
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.envs.tasks import Slew
 from flexman_gym.model.dynamics import frequencies
+from flexman_gym.model.model import Model
+from flexman_gym.model.vibration import modes
 from studies.environments.measure import Baseline
 
 SECTIONS = ("Description", "Actions", "Observations", "Reward", "Start", "End", "Arguments", "Version history")
@@ -109,11 +111,18 @@ def arm_facts(name: str) -> dict[str, str]:
         "inertias of the rotors (kg m^2)": _numbers(joint.rotor_inertia for joint in arm.joints),
         "payload": f"{arm.payload.mass:g} kg" if arm.payload else "none",
         "gravity": f"{np.linalg.norm(arm.gravity):g} m/s^2" if any(arm.gravity) else "none",
-        "first mode at zero angles, motors held": f"{frequencies(model, lock_joints=True)[0]:.2f} Hz",
+        "first mode at zero angles, motors held": f"{_first_frequency(model):.2f} Hz",
         "coordinates of the model": f"{model.n_dof}: {model.n_joints} joints, {model.n_motors} motors, "
         f"{model.n_elastic} elastic",
         "method and step": f"`{configuration.method}`, {1e3 * step:.3g} ms",
     }
+
+
+def _first_frequency(model: Model) -> float:
+    """Return the first frequency at zero angles with motors held, Hz; with passive joints, that of the hanging load."""
+    if model.constants.passive.any():
+        return float(modes(model, motors="held").frequencies[0])
+    return float(frequencies(model, lock_joints=True)[0])
 
 
 def _numbers(values: Iterable[float]) -> str:

@@ -9,13 +9,13 @@ from flexman_gym.toolbox.league.scenarios import USUAL_SCENARIOS
 from studies.environments.family import FAMILIES, Family, family_page
 from studies.environments.gallery import gallery_page, tasks_page
 from studies.environments.measure import (
-    BASELINES,
     LONG,
     LONG_NAME,
     SEEDS,
     Baseline,
     ModelError,
     baseline_rows,
+    baselines_of,
     draw,
     model_error,
     run,
@@ -29,7 +29,9 @@ def measure(options: Namespace) -> tuple[list[Baseline], list[ModelError]]:
     baselines, errors = [], []
     for name in NAMED_ENVIRONMENTS:
         known = name in USUAL_SCENARIOS  # of the league; one episode is enough for the pictures
-        runs = {each: run(name, agent, seeds=SEEDS[:1] if known else SEEDS) for each, agent in BASELINES.items()}
+        runs = {
+            each: run(name, agent, seeds=SEEDS[:1] if known else SEEDS) for each, agent in baselines_of(name).items()
+        }
         draw(runs, options.folder / name)
         baselines += [] if known else baseline_rows(name, runs)
         baselines += baseline_rows(name, {LONG_NAME: run(name, "pd", LONG)}) if name == DEFAULT_ID else []

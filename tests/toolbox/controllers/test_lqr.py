@@ -141,7 +141,7 @@ def postures(controller, count, seed=0):
     return np.random.default_rng(seed).uniform(-0.8, 0.8, (2, count, controller.model.n_joints))
 
 
-@pytest.mark.parametrize("name", sorted(NAMED_ENVIRONMENTS))
+@pytest.mark.parametrize("name", sorted({*NAMED_ENVIRONMENTS} - {"FlexCrane-v0"}))  # LQR refuses passive joints
 def test_the_sampled_closed_loop_is_stable_at_any_posture(name):
     lqr = designed(LQR, name)
     for posture in postures(lqr, 2)[0]:
@@ -288,7 +288,12 @@ def test_on_its_plan_the_tracking_one_only_feeds_forward():
 
 
 @pytest.mark.parametrize(
-    "name", sorted(name for name, named in NAMED_ENVIRONMENTS.items() if isinstance(named.task, fm.Slew))
+    "name",
+    sorted(
+        name
+        for name, named in NAMED_ENVIRONMENTS.items()
+        if isinstance(named.task, fm.Slew) and not any(joint.passive for joint in named.arm.joints)
+    ),
 )
 def test_the_tracking_one_stops_the_arm_where_it_should_be(name):
     """Alone, in an environment that lasts 8 s: what is left is far below a thousandth of the reach."""
