@@ -39,6 +39,8 @@ class Plant(NamedTuple):
         bandwidth: bandwidth of a first-order lag between commanded and applied torques, Hz; None for no lag.
         rate_limit: largest magnitude of a motor rate in the environment, rad/s.
         named_period: control period of the named environment whose arm this is, s; None for another arm.
+        link_encoders: True for an environment whose instruments are encoders of the link side: output feedback reads
+            them alone unless its sensors are named.
     """
 
     model: Model
@@ -53,6 +55,7 @@ class Plant(NamedTuple):
     bandwidth: float | None = None
     rate_limit: float = np.inf
     named_period: float | None = None
+    link_encoders: bool = False
 
 
 Readings = Mapping[str, NDArray[Any]]

@@ -18,6 +18,7 @@ IDS = (
     "FlexOne-v0",
     "FlexQuanser-v0",
     "FlexRotary-v0",
+    "FlexTwoMass-v0",
 )
 NOMINAL = "nominal"  # name of the condition without changes
 CONDITIONS = (NOMINAL, *sorted({path.stem for path in CONDITION_FOLDER.glob("*/*.yaml")}))

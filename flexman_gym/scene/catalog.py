@@ -36,6 +36,7 @@ __all__ = [
     "quanser_rotary",
     "rome_elastic_joint",
     "rotary_joint",
+    "two_mass",
     "vertical_2r",
     "wernholt_2006",
 ]
@@ -74,6 +75,8 @@ rome_elastic_joint = named_arm("rome_elastic_joint")
 """Flexible link on an elastic joint of the University of Rome: one link of 0.7 m in a horizontal plane."""
 wernholt_2006 = named_arm("wernholt_2006")
 """Axis of an industrial robot identified by Wernholt and Gunnarsson: motor, gear and arm in a chain, motor side."""
+two_mass = named_arm("two_mass")
+"""Two masses and a spring, the benchmark of Wie and Bernstein: rotor and rigid link on a joint spring."""
 TOOL = Payload(0.1)
 """Payload of `vertical_2r`, 0.1 kg."""
 LIGHT_TOOL = Payload(0.05)

@@ -27,6 +27,7 @@ GIFU = "Gifu University, ROBOMECH J. 5:28 (2018), usual moduli"
 QUANSER = "Quanser, rotary flexible link"
 KYOTO = "Quanser rotary flexible link, response measured at Kyoto University, grid of 4 %"
 ELASTIC_ROME, WERNHOLT = "Romano, Murra and De Luca, rotor held", "Wernholt and Gunnarsson, IFAC SYSID (2006)"
+WIE = "Wie and Bernstein (1992), closed form sqrt(2 k)"
 GU, MOBERG = "Gu, Petkov and Konstantinov (2005)", "Moberg, Ohr and Gunnarsson, IFAC (2005)"
 APKARIAN, FILTER = "Apkarian and Adams, IEEE Trans. CST 6 (1998)", "thesis on PPO with a predictive safety filter"
 BEAMS, CHAIN = "planar beam elements", "matrices of a chain of masses"
@@ -162,6 +163,9 @@ def _chain_rows() -> Iterator[VerificationRow]:
     yield from _series("robot axis, free f_{}, Hz", source, (8.974, 11.568), frequencies(model)[1:], CHAIN_OF_MASSES)
     yield from _series("robot axis, motor held f_{}, Hz", source, (4.227, 10.392), frequencies(model, lock_joints=True),
                            CHAIN_OF_MASSES)  # fmt: skip
+    for stiffness in (0.5, 1.0, 2.0):
+        free, case = frequencies(build_model(catalog.two_mass(stiffness)))[1], f"two masses, spring {stiffness:g}, free f, Hz"
+        yield VerificationRow(case, WIE, np.sqrt(2.0 * stiffness) / (2.0 * np.pi), free, CHAIN_OF_MASSES)
     model, source = build_model(catalog.apkarian_1998()), f"{APKARIAN}; {CHAIN}"
     springs = np.diag([0.0, 0.0, 89.1473, 45.6434])
     for elbow, upper in APKARIAN_MASS.items():

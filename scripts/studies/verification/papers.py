@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from flexman_gym.common.markdown import markdown_table
 from flexman_gym.toolbox.verification.papers import REASONS
 from flexman_gym.toolbox.verification.table import PASS, SHOWN, VerificationRow
+from studies.verification.two_mass import TwoMassRow, two_mass_table
 
 PAGE = """# Arms of published papers
 
@@ -52,15 +53,41 @@ matrices of a chain of masses. {computed} of {of_computed} agree within 0.5 %, c
 {second}
 
 {more}
+
+## Two masses and a spring
+
+`FlexTwoMass-v0` is the benchmark of Wie and Bernstein: two masses of 1 on a spring between 0.5 and 2, a torque of at
+most 1 on mass 1, and the position of mass 2 as the only measurement. As in Stengel and Marrison (1992), whose table
+could not be read, each number is a share of 1,000 random springs, uniform in the range:
+
+- unstable: an eigenvalue of the sampled closed loop is not inside the unit circle;
+- slow: unstable, or mass 2 is beyond 0.1 later than 15 s after a unit impulse on it;
+- saturated: the torque exceeds 1 after this impulse. The loop is linear, so that torques are not limited.
+
+The last two columns are for the nominal spring. The agents are designed for the nominal spring, or for the whole range
+(the condition `stiffness`). Their default cost weights need more than the torque of the benchmark; weights of 4 (m, m/s
+and rad), set by hand on springs of another seed, do not. The Kalman filter of the LQG has its stationary gain
+(`fixed`).
+
+{masses}
+
+The H-infinity controller that is designed for the range is the only robust one. To choose it:
+
+```python
+agent = {{"kind": "hinf", "weights": {{"tip": 4.0, "tip_speed": 4.0, "motor": 4.0}}}}
+result = fm.evaluate(agent, "FlexTwoMass-v0/stiffness", range(3))
+```
 """
 
 
-def page(printed: Sequence[VerificationRow], computed: Sequence[VerificationRow]) -> str:
+def page(
+    printed: Sequence[VerificationRow], computed: Sequence[VerificationRow], masses: Sequence[TwoMassRow]
+) -> str:
     """Return the page as Markdown."""
     return PAGE.format(
         printed=_passed(printed), of_printed=sum(row.verdict != SHOWN for row in printed), first=_table(printed),
         reasons=_reasons(printed), computed=_passed(computed), of_computed=len(computed), second=_table(computed),
-        more=_reasons(computed),
+        more=_reasons(computed), masses=two_mass_table(masses),
     )  # fmt: skip
 
 
