@@ -39,6 +39,7 @@ class FlexManEnv(StatefulEnv, gym.Env[Observation, Observation]):
         FlexOne-v0     textbook case: one strip of 0.8 m on one flexible joint, in a horizontal plane, 50 Hz
         FlexQuanser-v0 laboratory arm: two steel strips in a horizontal plane with its motors and sensors, 100 Hz
         FlexRotary-v0  laboratory arm: a strip on a motor driven by its voltage, 500 Hz
+        FlexTwoMass-v0 benchmark of Wie and Bernstein: two masses and a spring, mass 2 is measured, 50 Hz
         `envs.NAMED_ENVIRONMENTS` has the settings of each. The last three have the reward "distance" (see `Slew`).
 
     Arm

@@ -70,6 +70,7 @@ ARMS = {
     "FlexOne": "one flexible link, one flexible joint, the textbook case",
     "FlexQuanser": "two flexible links, horizontal plane, a real machine",
     "FlexRotary": "one flexible link, motor driven by its voltage",
+    "FlexTwoMass": "two masses and a spring, mass 2 measured",
 }
 TASKS = {
     "Slew": "move to a target and settle",

@@ -24,8 +24,10 @@ pytestmark = pytest.mark.filterwarnings("ignore:Link.second_moment_y")  # of the
 IDS = [name for name, named in NAMED_ENVIRONMENTS.items() if named.conditions]
 # Over all that is uncertain, without friction and with a delay of three periods, no PD is stable that moves the arm.
 STABLE = [name for name in CONDITIONS if name != "uncertain"]
-ROTARY = ("nominal", "friction", "unknown-lab")  # of the rotary link, which has a rigid joint
-CASES = [(name, condition) for name in IDS for condition in (STABLE if name != "FlexRotary-v0" else ROTARY)]
+FEW = {  # conditions of the rotary link, which has a rigid joint, and of two masses
+    "FlexRotary-v0": ("nominal", "friction", "unknown-lab"), "FlexTwoMass-v0": ("nominal", "stiffness"),
+}  # fmt: skip
+CASES = [(name, condition) for name in IDS for condition in FEW.get(name, STABLE)]
 FOLDERS = {"rrr": "FlexRRR-v0", "planar": "FlexPlanar-v0", "gravity": "FlexRRR-Gravity-v0"}
 
 

@@ -27,7 +27,7 @@ from studies.verification.two_mass import (
     two_mass_table,
 )
 
-PERIOD = 0.05  # s
+PERIOD = 0.02  # s
 NO_TORQUE = TwoMassLoop(LinearModel(np.zeros((1, 1)), np.zeros((1, 1)), np.zeros((1, 1)), np.zeros((1, 1))), PERIOD)
 
 
@@ -51,7 +51,7 @@ def simulated(agent, environment, stiffness, periods):
     setup = Configuration.find(environment)
     model = resolve_fidelity(setup).model
     controller = make_base(agent, make_plant(setup, model))
-    batch, only = Batch(model, setup.method, PERIOD / 50.0, PERIOD, arms=1), np.array([0])
+    batch, only = Batch(model, setup.method, PERIOD / 20.0, PERIOD, arms=1), np.array([0])
     batch.vary(only, joint_stiffness=np.array([[stiffness]]))
     batch.reset(only, np.array([[0.0, 0.0, 1.0, 1.0 * (model.motor_columns[0] == 0)]]))
     controller.reset(only, EpisodeInfo(np.zeros((1, 1)), np.zeros((1, 1)), PERIOD), 1)
@@ -64,12 +64,15 @@ def simulated(agent, environment, stiffness, periods):
 
 
 @pytest.mark.parametrize("stiffness", [0.7, 1.6])
-@pytest.mark.parametrize("agent", [name for name in AGENTS if "weights" in name])
+@pytest.mark.parametrize("agent", [name for name in AGENTS if "by hand" in name])
 def test_linear_loops_are_those_of_the_simulated_agents(agent, stiffness):
     loop = make_loop(AGENTS[agent], ENVIRONMENT + "/stiffness")
-    expected, found = impulse_response(loop, stiffness), simulated(AGENTS[agent], ENVIRONMENT + "/stiffness", stiffness, 200)
-    before = np.argmax(np.abs(np.append(expected[:200, 1], 9.0)) >= 1.0)  # periods before the first saturated one
-    assert before > 60
+    expected, found = (
+        impulse_response(loop, stiffness),
+        simulated(AGENTS[agent], ENVIRONMENT + "/stiffness", stiffness, 500),
+    )
+    before = np.argmax(np.abs(np.append(expected[:500, 1], 9.0)) >= 1.0)  # periods before the first saturated one
+    assert before > 150
     np.testing.assert_allclose(found[:before], expected[:before], atol=1e-4)
 
 
@@ -96,4 +99,4 @@ def test_the_design_for_the_range_is_robust_and_known_loops_are_told_apart():
     assert robust.saturated == 0.0 and robust.torque < 1.0 and robust.settling < 15.0
     feedback = TwoMassLoop(replace(NO_TORQUE.controller, D=-0.1 * np.eye(1)), PERIOD)  # no damping: unstable
     assert np.abs(np.linalg.eigvals(closed_loop(feedback, 1.0)[0])).max() > 1.0
-    assert "100.0 %" in two_mass_table([nominal])
+    assert "62.5 %" in two_mass_table([nominal])

@@ -113,7 +113,9 @@ class MeasurementModel:
             allowed = f"motor_encoders, and any of {optional}: other sensors are not linear in the state"
             raise value_error("sensors", sensors, allowed)
         if "motor_encoders" not in names and model.constants.gravity.any():
-            raise value_error("sensors", sensors, "motor_encoders with them: under gravity the springs are bent at rest")
+            raise value_error(
+                "sensors", sensors, "motor_encoders with them: under gravity the springs are bent at rest"
+            )
         self.names = tuple(name for each in dict.fromkeys(sensors) for name in linear[each])
         states = np.eye(2 * model.n_dof)
         columns = LinearMeasurements(model).measure(states) | {"joint_angles": states[:, : model.n_joints]}
