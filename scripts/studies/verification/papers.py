@@ -45,6 +45,12 @@ papers --data FILE` reads a response of your own, a CSV file of at least 12 freq
 `frequency (Hz),real (rad/V),imaginary (rad/V)`, for the hub angle as response to the voltage. It fits stiffness,
 inertia, friction, damping and the torque per volt to every second frequency, and prints the error at the others.
 
+The arm of Rome moves from rest to rest by the torque of the flat output of its linear model. The angles that its
+authors print follow from their modal data, whose mass matrix has the inertia of rotor and hub alone; with the modes of
+this package the tip stays nearer to the flat output. The linear model has no centrifugal forces: after a simulated move
+of 90 degrees in 2 s the tip is up to 4.5 mm from its goal, after 4 s 0.3 mm, and 24 mm after 2 s without foreshortening
+(`stiffening`). `HeldModes` in `flexman_gym.toolbox.verification.flat_output` computes the torque.
+
 ## Frequencies computed by other programs
 
 The expected values are computed from the printed parameters by planar beam elements of another program, or from the
