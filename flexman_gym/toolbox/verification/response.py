@@ -26,6 +26,8 @@ from flexman_gym.simulation.physical_parameters import PARAMETERS, varied_model
 Response = NDArray[np.complex128]
 COLUMNS = ("frequency (Hz)", "real (rad/V)", "imaginary (rad/V)")
 AXIS_COLUMNS = ("frequency (Hz)", "real (rad/s/(N m))", "imaginary (rad/s/(N m))")
+RECORD_COLUMNS = ("time (s)", "motor torque (N m)", "motor rate (rad/s)")
+SEGMENTS, MIN_COHERENCE, BAND = 8, 0.9, 0.1  # 1, 1, fraction of the sampling rate; estimate of a response from a record
 FITTED = ("link_stiffness_factor", "rotor_inertia", "viscous_friction", "link_damping")
 AXIS_FITTED = (
     "inertia of the motor", "inertia of the gear", "inertia of the arm", "stiffness of the gear",
@@ -89,20 +91,57 @@ class _ResponseFit(NamedTuple):
         ])  # fmt: skip
 
 
+def _estimated_response(time: Array, torque: Array, rate: Array) -> tuple[Array, Response]:
+    """Return frequencies (f,), Hz, and the response (f,) of the motor rate to a torque that is held between samples.
+
+    The ratio of averaged cross and power spectra, where the coherence is above MIN_COHERENCE (Ljung, System
+    Identification, 1999, chapter 6).
+    """
+    from scipy.signal import coherence, csd, welch
+
+    rate_of_samples, length = (len(time) - 1) / (time[-1] - time[0]), max(2 * len(time) // (SEGMENTS + 1), 2)
+    hertz, across = csd(torque, rate, rate_of_samples, nperseg=length)
+    power = welch(torque, rate_of_samples, nperseg=length)[1]
+    shared = coherence(torque, rate, rate_of_samples, nperseg=length)[1]
+    used = (hertz > 0.0) & (hertz < BAND * rate_of_samples) & (shared > MIN_COHERENCE)
+    phase = np.pi * hertz[used] / rate_of_samples
+    hold = np.sinc(phase / np.pi) * np.exp(-1j * phase)  # of a sample
+    return hertz[used], np.asarray(across[used] / (power[used] * hold))
+
+
+def _read_record(name: str, values: Array) -> tuple[Array, Response]:
+    """Return the estimated response of a record (t, 3) of time, torque and rate, after a check.
+
+    Raises:
+        ValueError: for values that are not finite, unequal intervals, and a response at too few frequencies.
+    """
+    steps = np.diff(values[:, 0])
+    even = np.isfinite(values).all() and len(steps) > 1 and steps.min() > 0.0 and steps.max() < 1.01 * steps.min()
+    if not even or not values[:, 1].any():
+        raise value_error(f"rows of {name}", len(values), "finite numbers at equal intervals of time, with a torque")
+    hertz, response = _estimated_response(*values.T)
+    if len(hertz) < MIN_FREQUENCIES:
+        allowed = f"at least {MIN_FREQUENCIES}: a longer record, or a torque with more frequencies"
+        raise value_error(f"{name}: frequencies with a coherence above {MIN_COHERENCE}", len(hertz), allowed)
+    return hertz, response
+
+
 def read_response(path: Path) -> tuple[Array, Response, Machine]:
     """Return frequencies (f,), Hz, responses (f,), and the machine of a CSV file.
 
     Args:
-        path: file with the columns of one of MACHINES.
+        path: file with the columns of one of MACHINES, or a record with RECORD_COLUMNS, of the axis.
 
     Raises:
         ValueError: for other columns, too few or descending frequencies, and values that are not finite.
     """
     table = read_table(path)
     names = [" ".join(name.split()).lower() for name in table.headers or ()]
+    if {each.lower() for each in RECORD_COLUMNS} <= {*names}:
+        return *_read_record(path.name, table.values[:, [names.index(each.lower()) for each in RECORD_COLUMNS]]), AXIS
     machine = next((each for each in MACHINES if {name.lower() for name in each.columns} <= {*names}), None)
     if machine is None:
-        allowed = "; or ".join(", ".join(each.columns) for each in MACHINES)
+        allowed = "; or ".join(", ".join(each) for each in (*(each.columns for each in MACHINES), RECORD_COLUMNS))
         raise value_error(f"columns of {table_name(path)}", ", ".join(table.headers or ()), allowed)
     hertz, real, imaginary = (table.values[:, names.index(each.lower())] for each in machine.columns)
     for line, row in zip(table.lines, np.column_stack([hertz, real, imaginary]), strict=True):

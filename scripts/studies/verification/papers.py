@@ -45,6 +45,12 @@ papers --data FILE` reads a response of your own, a CSV file of at least 12 freq
 `frequency (Hz),real (rad/V),imaginary (rad/V)`, for the hub angle as response to the voltage. It fits stiffness,
 inertia, friction, damping and the torque per volt to every second frequency, and prints the error at the others.
 
+The same command fits the axis of Wernholt and Gunnarsson, whose records come with a commercial toolbox, to a file of
+yours: a response of the motor rate to the torque, with the columns `frequency (Hz),real (rad/s/(N m)),imaginary
+(rad/s/(N m))`, or a record with `time (s),motor torque (N m),motor rate (rad/s)`, from which the response is estimated
+where the coherence is above 0.9. Inertias, springs, dampers and viscous friction are fitted; the model is linear, so
+that Coulomb friction appears as viscous friction.
+
 The arm of Rome moves from rest to rest by the torque of the flat output of its linear model. The angles that its
 authors print follow from their modal data, whose mass matrix has the inertia of rotor and hub alone; with the modes of
 this package the tip stays nearer to the flat output. The linear model has no centrifugal forces: after a simulated move
