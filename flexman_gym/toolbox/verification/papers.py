@@ -148,7 +148,7 @@ def simulated_move(angle: float, duration: float, stiffening: bool = True) -> Ar
     model = build_model(arm, 8, 6, stiffening=stiffening)
     batch = Batch(model, step=period, control_period=period, arms=1)
     batch.reset(np.array([0]), np.zeros((1, 2 * model.n_dof)))
-    middles = (np.arange(round(1.5 * duration / period)) + 0.5) * period
+    middles = np.linspace(0.5 * period, 1.5 * duration - 0.5 * period, round(1.5 * duration / period))
     drives = np.zeros((1, len(middles), model.n_joints + 6))
     drives[0, :, 0] = HeldModes.of_model(build_model(arm, 8), 3).torque(middles, angle, duration)
     return np.asarray(batch.roll(drives)[1][0, round(duration / period) :, TIP])

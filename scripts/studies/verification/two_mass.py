@@ -135,7 +135,8 @@ def measure_loop(agent: str, spring: str, loop: TwoMassLoop, draws: int = DRAWS)
         counts[i] = unstable, unstable or late > BAND, np.abs(torque).max() > LIMIT
     position, torque = impulse_response(loop, 1.0).T
     settling = float((np.flatnonzero(np.abs(position) > BAND)[-1] + 1) * loop.period)
-    return TwoMassRow(agent, spring, *counts.mean(axis=0).tolist(), settling, float(np.abs(torque).max()))
+    unstable, slow, saturated = counts.mean(axis=0).tolist()
+    return TwoMassRow(agent, spring, unstable, slow, saturated, settling, float(np.abs(torque).max()))
 
 
 def two_mass_rows(draws: int = DRAWS) -> Iterator[TwoMassRow]:
