@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml
 
 from flexman_agents.callbacks import TrainingReport
@@ -62,12 +63,12 @@ def search(
     while True:
         running = [each.number for each in study.get_trials(deepcopy=False) if not each.state.is_finished()]
         while len(running) < jobs and len(study.get_trials(deepcopy=False)) < trials:
-            study.sampler = _optuna().samplers.TPESampler(seed=seed + len(study.get_trials(deepcopy=False)))
             running.append(study.ask().number)
-            _proposed(study, running[-1], over)  # drawn now: after a kill the sampler would have another seed
+            _proposed(study, running[-1], over, seed)  # drawn now, before trials in other processes end
         if not running:
             return _keep_best(study, recipe, folder)
-        cells = [(_change_settings(recipe, _proposed(study, number, over)), str(folder), number) for number in running]
+        proposed = {number: _proposed(study, number, over, seed) for number in running}
+        cells = [(_change_settings(recipe, values), str(folder), number) for number, values in proposed.items()]
         for _ in parallel_map_unordered(_run_trial, cells, workers, prepare=compile_kernels):
             pass
 
@@ -153,11 +154,16 @@ def _check(path: str, given: Any, recipe: Settings) -> None:
         _change_settings(recipe, {path: value})
 
 
-def _proposed(study: Any, number: int, over: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the values of a trial by path of the setting; the sampler draws them at the first call."""
+def _proposed(study: Any, number: int, over: Mapping[str, Any], seed: int) -> dict[str, Any]:
+    """Return the values of a trial by path of the setting; the sampler draws them at the first call.
+
+    Each value has a seed of its own, so that a search that is killed between two draws draws the same rest.
+    """
     trial = _trial(study, number)
     result = {}
-    for path, span in over.items():
+    for i, (path, span) in enumerate(over.items()):
+        own = int(np.random.SeedSequence([seed, number, i]).generate_state(1)[0])
+        trial.study.sampler = _optuna().samplers.TPESampler(seed=own)
         if "choices" in span:
             result[path] = trial.suggest_categorical(path, span["choices"])
         else:

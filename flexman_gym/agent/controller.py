@@ -40,6 +40,8 @@ class Plant(NamedTuple):
         rate_limit: largest magnitude of a motor rate in the environment, rad/s.
         named_period: control period of the named environment whose arm this is, s; None for another arm.
         foundation: `envs.foundation.Travel` of a foundation that the agent moves; None for a fixed one.
+        link_encoders: True for an environment whose instruments are encoders of the link side: output feedback reads
+            them alone unless its sensors are named.
     """
 
     model: Model
@@ -55,6 +57,7 @@ class Plant(NamedTuple):
     rate_limit: float = np.inf
     named_period: float | None = None
     foundation: Any = None
+    link_encoders: bool = False
 
 
 Readings = Mapping[str, NDArray[Any]]

@@ -19,8 +19,10 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
         help="closed-forms, or papers: printed, measured and computed results of published arms (default: %(default)s)",
     )  # fmt: skip
     parser.add_argument(
-        "--data", type=Path, metavar="FILE", help="fit the rotary flexible link to a measured response of hub angle to "
-        "voltage, a CSV file with frequency (Hz), real (rad/V) and imaginary (rad/V)",
+        "--data", type=Path, metavar="FILE", help="fit a machine to a measured response, a CSV file with frequency "
+        "(Hz), real and imaginary: the rotary flexible link, hub angle to voltage (rad/V), or the axis of Wernholt and "
+        "Gunnarsson, motor rate to torque (rad/s/(N m)); or a record of this axis: time (s), motor torque (N m), "
+        "motor rate (rad/s)",
     )  # fmt: skip
     parser.add_argument("--quick", action="store_true", help="print no reference to the full table")
     parser.add_argument("--json", type=output_file, metavar="FILE", help="write the rows to a JSON file")

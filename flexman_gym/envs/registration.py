@@ -18,8 +18,9 @@ IDS = (
     "FlexOne-v0",
     "FlexQuanser-v0",
     "FlexRotary-v0",
-    "FlexGantry-v0",
     "FlexCrane-v0",
+    "FlexTwoMass-v0",
+    "FlexGantry-v0",
 )
 NOMINAL = "nominal"  # name of the condition without changes
 CONDITIONS = (NOMINAL, *sorted({path.stem for path in CONDITION_FOLDER.glob("*/*.yaml")}))

@@ -104,6 +104,7 @@ LINEAR_SENSORS = {  # sensor whose output is linear in the state -> its measurem
     "joint_encoders": ("joint_twists", "joint_twist_rates"),  # encoders on both sides of the joint spring
     "strain": ("root_strains",),
 }
+LINK_SENSOR = {"link_encoders": ("joint_angles",)}  # sensor of the link side alone, without rates; never a default
 
 
 class LinearMeasurements:

@@ -38,6 +38,7 @@ __all__ = [
     "quanser_rotary",
     "rome_elastic_joint",
     "rotary_joint",
+    "two_mass",
     "vertical_2r",
     "wernholt_2006",
 ]
@@ -80,6 +81,8 @@ wernholt_2006 = named_arm("wernholt_2006")
 """Axis of an industrial robot identified by Wernholt and Gunnarsson: motor, gear and arm in a chain, motor side."""
 loader_crane = named_arm("loader_crane")
 """Small loader crane: two flexible booms of 1.6 m on elastic drives, and a load on a rope from a universal joint."""
+two_mass = named_arm("two_mass")
+"""Two masses and a spring, the benchmark of Wie and Bernstein: rotor and rigid link on a joint spring."""
 TOOL = Payload(0.1)
 """Payload of `vertical_2r`, 0.1 kg."""
 LIGHT_TOOL = Payload(0.05)

@@ -71,6 +71,7 @@ ARMS = {
     "FlexQuanser": "two flexible links, horizontal plane, a real machine",
     "FlexRotary": "one flexible link, motor driven by its voltage",
     "FlexCrane": "loader crane, two flexible booms, a load on a rope without motors",
+    "FlexTwoMass": "two masses and a spring, mass 2 measured",
 }
 TASKS = {
     "Slew": "move to a target and settle",

@@ -68,6 +68,31 @@ def test_what_cannot_be_searched_is_refused_in_one_line(over, line, tmp_path):
     assert not (tmp_path / "search").exists()
 
 
+@pytest.mark.parametrize("drawn", [0, 1, 2])
+def test_search_broken_off_between_two_draws_of_a_trial_proposes_the_same_values(drawn, tmp_path, monkeypatch):
+    optuna = pytest.importorskip("optuna", reason="Optuna is not installed")
+    search(RECIPE, OVER, tmp_path / "whole", 6)
+    draws = [0]
+
+    def broken(original):
+        def suggest(trial, *arguments, **keywords):
+            if trial.number == 5:
+                draws[0] += 1
+                if draws[0] > drawn:
+                    raise KeyboardInterrupt
+            return original(trial, *arguments, **keywords)
+
+        return suggest
+
+    with monkeypatch.context() as patch:
+        for name in ("suggest_float", "suggest_int", "suggest_categorical"):
+            patch.setattr(optuna.trial.Trial, name, broken(getattr(optuna.trial.Trial, name)))
+        with pytest.raises(KeyboardInterrupt):
+            search(RECIPE, OVER, tmp_path / "broken", 6)
+    search(RECIPE, OVER, tmp_path / "broken", 6)
+    assert trials(tmp_path / "broken") == trials(tmp_path / "whole")
+
+
 def test_a_search_that_is_killed_goes_on_and_its_best_trial_is_a_recipe_of_the_same_bits(tmp_path):
     """Twelve trials, killed after four of them."""
     pytest.importorskip("optuna", reason="Optuna is not installed")

@@ -23,12 +23,18 @@ from flexman_gym.simulation.physical_parameters import UNMODELLED
 pytestmark = pytest.mark.filterwarnings("ignore:Link.second_moment_y")  # of the paper's printed area
 IDS = [name for name, named in NAMED_ENVIRONMENTS.items() if named.conditions]
 # Over all that is uncertain, without friction and with a delay of three periods, no PD is stable that moves the arm.
-STABLE = [name for name in CONDITIONS if name != "uncertain"]
-FEWER = {  # environments without some of the conditions
+UNSTABLE = ("uncertain",)
+FEWER = {
     "FlexRotary-v0": ("nominal", "friction", "unknown-lab"),  # a rigid joint
+    "FlexTwoMass-v0": ("nominal", "stiffness"),
     "FlexCrane-v0": (),  # `arms` has no gravity and flexible links only; see test_crane
+    "FlexGantry-v0": (),  # no motor
 }
-CASES = [(name, condition) for name in IDS for condition in FEWER.get(name, STABLE)]
+CASES = [
+    (name, condition)
+    for name in IDS
+    for condition in FEWER.get(name, [each for each in condition_names(name) if each not in UNSTABLE])
+]
 CRANE = [("FlexCrane-v0", condition) for condition in condition_names("FlexCrane-v0")]
 FOLDERS = {"rrr": "FlexRRR-v0", "planar": "FlexPlanar-v0", "gravity": "FlexRRR-Gravity-v0"}
 

@@ -48,6 +48,7 @@ def make_plant(configuration: Configuration, model: Model) -> Plant:
         configuration.limits.rate,
         named.control_period if configuration.has_named_motors else None,
         configuration.foundation,
+        any("joint_angles" in measured_names([sensor]) for sensor in configuration.sensors),
     )
 
 

@@ -21,7 +21,7 @@ from flexman_gym.envs.sensors.ideal import (
 from flexman_gym.envs.sensors.instrument import Instrument
 from flexman_gym.envs.sensors.sensor import Entry, Sensor
 from flexman_gym.envs.sensors.sensor_array import SensorArray, measured_names
-from flexman_gym.model.linearization import LINEAR_SENSORS
+from flexman_gym.model.linearization import LINEAR_SENSORS, LINK_SENSOR
 
 SENSORS: Registry[Callable[[], Sensor]] = Registry(
     "sensor",
@@ -30,7 +30,7 @@ SENSORS: Registry[Callable[[], Sensor]] = Registry(
         "fine": FineScale,
         "servo": ServoErrors,
         "state": ModelState,
-        **{name: partial(Quantities, quantities) for name, quantities in LINEAR_SENSORS.items()},
+        **{name: partial(Quantities, quantities) for name, quantities in (LINEAR_SENSORS | LINK_SENSOR).items()},
         "accelerometer": lambda: Quantities(("tip_acceleration",)),
         "tip": lambda: Instrument(Quantities(("tip",)), every=2, delay=1),
         "command": GoalCommand,

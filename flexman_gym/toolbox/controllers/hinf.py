@@ -28,8 +28,8 @@ from flexman_gym.model.statics import holding_torques, rest_state
 from flexman_gym.simulation.linearization import linearize
 from flexman_gym.simulation.physical_parameters import ARM, PARAMETERS, UNCERTAIN
 from flexman_gym.toolbox.controllers.arm_scales import ArmScales, SlewBounds
-from flexman_gym.toolbox.controllers.cost_weights import NamedWeights
-from flexman_gym.toolbox.controllers.observers.observer import MeasurementModel
+from flexman_gym.toolbox.controllers.cost_weights import CostWeights, NamedWeights, parse_weights
+from flexman_gym.toolbox.controllers.observers.observer import MeasurementModel, default_sensors
 from flexman_gym.toolbox.controllers.observers.perturbed_models import UncertainParameters
 from flexman_gym.toolbox.controllers.references.trajectories import plan_path, plan_slew
 
@@ -74,7 +74,12 @@ class GeneralisedPlant(NamedTuple):
 
     @classmethod
     def linearised(
-        cls, plant: Plant, instruments: MeasurementModel, posture: Array, mode_limit: float | None = None
+        cls,
+        plant: Plant,
+        instruments: MeasurementModel,
+        posture: Array,
+        mode_limit: float | None = None,
+        weights: CostWeights | None = None,
     ) -> Self:
         """Return the plant of the synthesis about the equilibrium at motor angles (n,) rad.
 
@@ -83,6 +88,7 @@ class GeneralisedPlant(NamedTuple):
             instruments: measurements.
             posture: (n,) motor angles, rad.
             mode_limit: frequency above which modes are left out, Hz; None for 0.4 times the control rate.
+            weights: cost weights of the performance outputs; None for those of the reach, see `NamedWeights`.
         """
         model, limits = centred_model(plant), np.array(plant.torque_limit)
         modes = _modes(model, posture, limits, MODE_LIMIT / plant.period if mode_limit is None else mode_limit)
@@ -100,7 +106,8 @@ class GeneralisedPlant(NamedTuple):
         rows = np.vstack([np.zeros((0, 3 * k)), *(right for _, right in pairs.values())])
         rows[:, :k] /= modes.rates
         outputs = rows[:, : 2 * k] + rows[:, 2 * k :] @ A[k:], rows[:, 2 * k :] @ forces
-        cost = NamedWeights.of_reach(model).outputs(linear, model.motor_columns) @ into
+        weights = weights or NamedWeights.of_reach(model)
+        cost = weights.torque * weights.outputs(linear, model.motor_columns) @ into  # relative to the torques
         noise = np.maximum(NOISE[0] * instruments.deviations, NOISE[1] * instruments.ranges)
         undelayed = LinearModel(transition, held, *outputs, period=plant.period)
         system = _assembled(undelayed, cost, instruments.matrix @ into, noise, n, (sum(plant.delay) + 1) // 2)
@@ -376,17 +383,23 @@ class HInfinity:
 
     Args:
         plant: plant model with its uncertain parameters, delay and noise of the instruments.
-        sensors: names in `model.linearization.LINEAR_SENSORS`, "motor_encoders" among them.
+        sensors: see `MeasurementModel`; None for motor encoders and strain, or the link encoders of a plant with these.
         loss: see `GeneralisedPlant.synthesise`.
+        weights: cost weights of the performance outputs, a mapping as for "lqg"; None for those of the reach.
     """
 
     state_fields = ("_states", "_now")
 
-    def __init__(self, plant: Plant, sensors: Sequence[str] = ("motor_encoders", "strain"), loss: float = LOSS) -> None:
+    def __init__(
+        self, plant: Plant, sensors: Sequence[str] | None = None, loss: float = LOSS, weights: object = None
+    ) -> None:
         optional_module(*SLYCOT)
+        sensors = default_sensors(plant, ("motor_encoders", "strain")) if sensors is None else sensors
         self._plant, self._instruments, self._loss = plant, MeasurementModel(plant, sensors), positive("loss", loss)
         self.sensors, self._model, self._limits = tuple(sensors), centred_model(plant), np.array(plant.torque_limit)
-        self._delay, self._rates = (sum(plant.delay) + 1) // 2, np.array(ArmScales.of_plant(plant).rates)
+        scales = ArmScales.of_plant(plant)
+        self._delay, self._rates = (sum(plant.delay) + 1) // 2, np.array(scales.rates)
+        self._weights = parse_weights(weights, scales)
         self._designs: dict[bytes, Synthesis] = {}
         self._loops: dict[int, tuple[Synthesis, Array, Array]] = {}  # arm -> design, reference, feed-forward
         self._now = np.zeros(0, dtype=np.int64)
@@ -398,9 +411,8 @@ class HInfinity:
         if key not in self._designs:
             if len(self._designs) > MAX_DESIGNS:
                 self._designs.clear()
-            self._designs[key] = GeneralisedPlant.linearised(self._plant, self._instruments, goal).synthesise(
-                self._loss
-            )
+            generalised = GeneralisedPlant.linearised(self._plant, self._instruments, goal, weights=self._weights)
+            self._designs[key] = generalised.synthesise(self._loss)
         return self._designs[key]
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
@@ -453,7 +465,7 @@ class HInfinity:
 ENTRY = ControllerEntry(
     HInfinity,
     ("model",),
-    ("sensors", "loss"),
+    ("sensors", "loss", "weights"),
     "H-infinity output feedback with laboratory measurements, designed for the ranges of the uncertain parameters",
     "weights for every arm, set by hand on the seeds 9000 to 9011 of `FlexRRR-v0` and `FlexRotary-v0`, which are "
     "test seeds",

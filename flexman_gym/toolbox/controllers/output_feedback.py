@@ -131,6 +131,7 @@ class LinearOutputFeedback:
         self._observer, self._law = observer, law
         self.sensors: tuple[str, ...] = tuple(observer.sensors)
         self.gravity_model = law.slews.model
+        self.posture = "motor_angles" if "motor_angles" in observer.quantities else "joint_angles"
         self._tables: dict[str, Array] = {}
         self._deviation: Array | None = None  # (2 d,) estimated deviation from the equilibrium; None before a reading
 
@@ -152,7 +153,7 @@ class LinearOutputFeedback:
         """Return the action (1, n); arguments as in `Controller.act`."""
         t, limits = self._tables, self._law.limits
         if self._deviation is None:
-            self._deviation = t["from_angles"] @ (readings["motor_angles"][0] - t["goal"])
+            self._deviation = t["from_angles"] @ (readings[self.posture][0] - t["goal"])
         else:
             predicted = t["A"] @ self._deviation + t["B"] @ (applied[0] * limits - t["holding"])
             measured = np.concatenate([readings[name][0] for name in self._observer.quantities])

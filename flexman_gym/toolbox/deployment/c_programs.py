@@ -102,7 +102,8 @@ def lqg_program(lqg: Any, readings: Iterable[str]) -> CProgram:
     tables = lqg.move_tables()
     sizes = dict(zip(("MEASUREMENTS", "STATES"), tables["C"].shape, strict=True))
     memory = {"deviation": tables["rest"].shape}
-    return CProgram(matrices=tables, memory=memory, sizes=sizes, step=[LQG_STEP], near=NEAR)
+    step = Template(LQG_STEP).safe_substitute(posture=lqg.posture.upper())
+    return CProgram(matrices=tables, memory=memory, sizes=sizes, step=[step], near=NEAR)
 
 
 def shaped_program(shaped: Any, readings: Iterable[str]) -> CProgram:
@@ -190,7 +191,7 @@ LQG_STEP = """
     {
         double predicted[STATES], error[MEASUREMENTS], input[N];
         for (int i = 0; i < N; i++)
-            input[i] = state->started ? state->torque[i] - move->holding[i] : $r[${P}_MOTOR_ANGLES + i] - move->goal[i];
+            input[i] = state->started ? state->torque[i] - move->holding[i] : $r[${P}_$posture + i] - move->goal[i];
         for (int i = 0; i < STATES; i++)
             predicted[i] = state->started ? dot(STATES, move->A + i * STATES, state->deviation)
                 + dot(N, move->B + i * N, input) : dot(N, move->from_angles + i * N, input);

@@ -94,6 +94,16 @@ FAMILIES = (
         "the tip of the arm, so that its swing is part of the tip error.",
         ("FlexCrane-v0",),
     ),
+    Family(
+        "FlexTwoMass",
+        "FlexTwoMass: two masses and a spring",
+        "The benchmark of Wie and Bernstein (1992): rotor and rigid link have an inertia of 1 kg m^2 each, the joint "
+        "is a spring of 1 N m/rad between 0.5 and 2, and the torque is at most 1 N m. Only the position of mass 2, the "
+        "angle of the link, is measured. `lqg` and `hinf` are designed with this sensor. A PD of the angle of mass 2 "
+        "does not stabilise the masses, so that `pd` reads the encoder of the motor, which the benchmark lacks. "
+        "[Probabilities of instability](../evidence/papers.md#two-masses-and-a-spring) for random springs.",
+        ("FlexTwoMass-v0",),
+    ),
 )
 
 

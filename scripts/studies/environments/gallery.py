@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from flexman_gym.common.markdown import markdown_table
-from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
+from flexman_gym.envs.config.named_environments import DEFAULT_ID, NAMED_ENVIRONMENTS
 from flexman_gym.envs.registration import CONDITION_FOLDER, CONDITIONS, NOMINAL
 from flexman_gym.envs.sensors import SENSOR_NAMES
 from flexman_gym.envs.tasks import TASKS
@@ -31,6 +31,7 @@ ARMS_TEXT = {
     "FlexQuanser": "laboratory arm with two strips, 0.56 m",
     "FlexRotary": "strip on a motor driven by its voltage, 0.38 m",
     "FlexCrane": "loader crane with a load on a rope, booms of 3.2 m",
+    "FlexTwoMass": "two masses and a spring, horizontal",
 }
 TASKS_TEXT = {
     "Slew": "move the tip to a target and stop it there",
@@ -160,11 +161,10 @@ def _sensors() -> list[str]:
 
 def _conditions() -> list[str]:
     """Return the table of the conditions."""
-    folders = {named.conditions for named in NAMED_ENVIRONMENTS.values() if named.conditions}
     without = [name for name, named in NAMED_ENVIRONMENTS.items() if not named.conditions]
     rows = [(f"`{NOMINAL}`", "The environment without changes.")]
     for each in CONDITIONS[1:]:
-        path = CONDITION_FOLDER / sorted(folders)[-1] / f"{each}.yaml"
+        path = CONDITION_FOLDER / NAMED_ENVIRONMENTS[DEFAULT_ID].conditions / f"{each}.yaml"
         rows.append((f"`{each}`", path.read_text(encoding="utf-8").splitlines()[0].removeprefix("# ")))
     text = paragraph(
         'A condition makes an environment harder: `gym.make("FlexRRR-v0", condition="unknown")`, or',

@@ -1,7 +1,7 @@
-"""Full table of the verification, and tables of papers."""
+"""Full table of the verification, tables of papers, and the benchmark of two masses."""
 
 from argparse import Namespace
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 from flexman_gym.toolbox.verification.papers import paper_tables
 from flexman_gym.toolbox.verification.table import VerificationRow, VerificationTable
@@ -9,19 +9,22 @@ from studies.study import QUICK, Study, Table
 from studies.verification.motions import REFERENCE, rows
 from studies.verification.page import page
 from studies.verification.papers import page as page_of_papers
+from studies.verification.two_mass import DRAWS, QUICK_DRAWS, TwoMassRow, two_mass_rows
 
 FILES = ("verification", "papers_printed", "papers_computed")
+Row = VerificationRow | TwoMassRow
 
 
-def measure(options: Namespace) -> Iterator[Sequence[VerificationRow]]:
-    """Yield the rows of the verification and of both tables of papers; motions of minutes only without --quick."""
+def measure(options: Namespace) -> Iterator[Iterable[Row]]:
+    """Yield the rows of all tables; motions of minutes, and 1,000 random springs, only without --quick."""
     yield rows(REFERENCE, options.quick)
     papers = paper_tables()
     yield papers["printed"]
     yield papers["computed"]
+    yield two_mass_rows(QUICK_DRAWS if options.quick else DRAWS)
 
 
-def report(result: Sequence[VerificationRow], *_: Sequence[VerificationRow]) -> int:
+def report(result: Sequence[VerificationRow], *_: Sequence[Row]) -> int:
     """Print the table and return 1 if a row fails."""
     table = VerificationTable(result)
     print(table)
@@ -29,13 +32,13 @@ def report(result: Sequence[VerificationRow], *_: Sequence[VerificationRow]) -> 
 
 
 RUNNER = Study(
-    tables=[Table(file, VerificationRow, 12) for file in FILES],
+    tables=[*(Table(file, VerificationRow, 12) for file in FILES), Table("two_mass", TwoMassRow)],
     measure=measure,
     pages={
-        "verification.md": lambda rows, _, __, files: page(
+        "verification.md": lambda rows, _, __, ___, files: page(
             VerificationTable(rows), {"verification.csv": files["verification.csv"]}
         ),
-        "papers.md": lambda _, printed, computed, __: page_of_papers(printed, computed),
+        "papers.md": lambda _, printed, computed, masses, __: page_of_papers(printed, computed, masses),
     },
     report=report,
     options=QUICK,

@@ -448,7 +448,7 @@ def test_it_goes_on_from_what_it_kept(options):
 
 
 def test_bad_arguments_are_refused_in_one_line():
-    allowed = "give motor_encoders, and any of joint_encoders, strain: other sensors are not linear"
+    allowed = "give motor_encoders, and any of joint_encoders, strain, link_encoders: other sensors are not linear"
     for sensors in (("motor_encoders", "accelerometer"), ("strain",), "lab", ()):
         said = refusal(KalmanFilter, plant(), sensors)
         assert said.startswith("sensors: ") and allowed in said

@@ -16,7 +16,13 @@ from flexman_gym.toolbox.controllers.observers.innovations import (
     InnovationGains,
 )
 from flexman_gym.toolbox.controllers.observers.measurement_history import MeasurementHistory
-from flexman_gym.toolbox.controllers.observers.observer import MAX_BIAS, Estimate, MeasurementModel, UncertainStates
+from flexman_gym.toolbox.controllers.observers.observer import (
+    MAX_BIAS,
+    Estimate,
+    MeasurementModel,
+    UncertainStates,
+    default_sensors,
+)
 from flexman_gym.toolbox.controllers.observers.perturbed_models import (
     PerturbedModels,
     Prior,
@@ -60,7 +66,7 @@ class Estimator:
 
     Args:
         plant: plant model with uncertain parameters and the noise of the instruments.
-        sensors: names in `model.linearization.LINEAR_SENSORS`.
+        sensors: as in `KalmanFilter`.
         unknown: name -> (low, high), see `UncertainParameters`; None for the uncertain parameters of the plant, and for
             its joint stiffness and friction.
         biased: True to estimate biases of the measurements, up to 0.5 % of their ranges where the plant names none;
@@ -86,12 +92,13 @@ class Estimator:
     def __init__(
         self,
         plant: Plant,
-        sensors: Sequence[str] = tuple(LINEAR_SENSORS),
+        sensors: Sequence[str] | None = None,
         unknown: Mapping[str, tuple[float, float]] | None = None,
         biased: bool | None = None,
         relinearised: bool = True,
         unit: int = 1,
     ) -> None:
+        sensors = default_sensors(plant, tuple(LINEAR_SENSORS)) if sensors is None else sensors
         self.sensors, self._plant, self._relinearised = tuple(sensors), plant, relinearised
         self._given, self._unit = (plant, self.sensors, unknown, biased), unit
         self._resimulated = unit * np.array(RESIMULATION_TIMES)  # control periods
@@ -102,8 +109,8 @@ class Estimator:
         gauges = np.flatnonzero(instruments.gain_errors)
         self._models = PerturbedModels(plant, uncertain, instruments.matrix, biased, gauges)
         self._innovations = InnovationGains(DiscreteJacobians(plant), instruments, plant.tip_force)
-        self._encoders = None if biased else instruments.places["motor_angles"]
-        starts = instruments.deviations[instruments.places["motor_angles"]]
+        self._encoders = None if biased else instruments.posture
+        starts = instruments.deviations[instruments.posture]
         if biased:
             starts = np.full(len(starts), START_ANGLE_DEVIATION)
         told = instruments.biases if instruments.biases.any() else MAX_BIAS * instruments.ranges

@@ -11,7 +11,7 @@ from flexman_gym.common.errors import value_error
 from flexman_gym.model.linearization import LINEAR_SENSORS
 from flexman_gym.model.statics import holding_torques, rest_state
 from flexman_gym.toolbox.controllers.internal_model import DelayCompensation, DiscreteJacobians, InternalModels
-from flexman_gym.toolbox.controllers.observers.observer import MAX_BIAS, Estimate, MeasurementModel
+from flexman_gym.toolbox.controllers.observers.observer import MAX_BIAS, Estimate, MeasurementModel, default_sensors
 
 MAX_DOUBLINGS = 20  # number of doublings, for 2^20 periods, about a million
 SMALL_POWER = 1e-8  # entry of a power of the transition matrix whose square is below a rounding error
@@ -100,7 +100,8 @@ class KalmanFilter:
 
     Args:
         plant: plant model with the delay of the torques and the noise of the instruments.
-        sensors: names in `model.linearization.LINEAR_SENSORS`, "motor_encoders" among them.
+        sensors: see `MeasurementModel`; None for all in `model.linearization.LINEAR_SENSORS`, or the link encoders of a
+            plant with these.
         noise: standard deviations of the random torques, as a fraction of the torque limits, and of the tip forces, as
             a fraction of the force that the strongest motor balances at full reach. None for 0.005 and 0.005, or 0.005
             and 0.03 for a plant with uncertain parameters, and in addition the plant's `tip_force`.
@@ -120,12 +121,13 @@ class KalmanFilter:
     def __init__(
         self,
         plant: Plant,
-        sensors: Sequence[str] = tuple(LINEAR_SENSORS),
+        sensors: Sequence[str] | None = None,
         noise: Vector | None = None,
         disturbed: bool = False,
         biased: bool = False,
         fixed: bool = False,
     ) -> None:
+        sensors = default_sensors(plant, tuple(LINEAR_SENSORS)) if sensors is None else sensors
         self._instruments = instruments = MeasurementModel(plant, sensors)
         self.sensors, self._plant, self._jacobians = tuple(sensors), plant, DiscreteJacobians(plant)
         self.quantities = instruments.names
@@ -248,8 +250,8 @@ class KalmanFilter:
             self._prepared[arms] = True
 
     def _begin(self, arms: IntArray, now: Array) -> None:
-        """Initialise the states of the arms (r,) by the motor angles in their first measurements (r, m)."""
-        angles, core, model = self._instruments.places["motor_angles"], slice(0, self._size), self._plant.model
+        """Initialise the states of the arms (r,) by the angles in their first measurements (r, m)."""
+        angles, core, model = self._instruments.posture, slice(0, self._size), self._plant.model
         self.states[arms, core], holding = self._rest(now[:, angles])
         self._transition[arms], self._noise[arms], _ = self._system(self.states[arms, core], holding)
         rotations = model.at_rest(np.eye(model.n_joints))

@@ -8,7 +8,7 @@ import numpy as np
 from flexman_gym.agent.controller import EpisodeInfo, Plant, Readings
 from flexman_gym.common.arrays import Array, BoolArray, IntArray
 from flexman_gym.common.errors import value_error
-from flexman_gym.model.linearization import LINEAR_SENSORS, LinearMeasurements
+from flexman_gym.model.linearization import LINEAR_SENSORS, LINK_SENSOR, LinearMeasurements
 
 
 class Estimate(NamedTuple):
@@ -76,6 +76,11 @@ MAX_LOST = 3  # largest number of successive repetitions of a sample that count 
 MIN_DEVIATION = 1e-4  # fraction of the range; smallest standard deviation of a measurement, due to model errors
 
 
+def default_sensors(plant: Plant, usual: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the sensors of output feedback whose sensors are not named: link encoders where the plant has them."""
+    return tuple(LINK_SENSOR) if plant.link_encoders else usual
+
+
 class MeasurementModel:
     """Linear measurement model of the instruments: y = matrix x + noise, with m measurements y and the state x.
 
@@ -83,11 +88,12 @@ class MeasurementModel:
         plant: plant model with the range, the noise, the bias and the gain error of each instrument; standard
             deviations are at least 1e-4 of the range.
         sensors: names in `model.linearization.LINEAR_SENSORS`, including "motor_encoders", which determine the posture
-            at the start.
+            at the start; or "link_encoders", which determine it for an arm without gravity.
 
     Attributes:
         names: names of the measured quantities in their order.
         places: name -> slice of the measurement vector (m,).
+        posture: slice (n,) of the angles that determine the posture at the start.
         matrix: (m, 2 d) measurement matrix.
         ranges: (m,) largest magnitude of each measurement.
         deviations: (m,) standard deviation of the noise of each measurement.
@@ -95,26 +101,34 @@ class MeasurementModel:
         gain_errors: (m,) largest relative gain error of each measurement.
 
     Raises:
-        ValueError: for a sensor whose readings are nonlinear in the state, and without motor encoders.
+        ValueError: for a sensor whose readings are nonlinear in the state, and without encoders of the posture.
     """
 
     def __init__(self, plant: Plant, sensors: Sequence[str]) -> None:
         names = () if isinstance(sensors, str) else sensors
-        known = all(isinstance(each, str) and each in LINEAR_SENSORS for each in names)
-        if not known or "motor_encoders" not in names:
-            optional = ", ".join(list(LINEAR_SENSORS)[1:])
+        linear, model = LINEAR_SENSORS | LINK_SENSOR, plant.model
+        known = all(isinstance(each, str) and each in linear for each in names)
+        if not known or ("motor_encoders" not in names and "link_encoders" not in names):
+            optional = ", ".join([*list(LINEAR_SENSORS)[1:], *LINK_SENSOR])
             allowed = f"motor_encoders, and any of {optional}: other sensors are not linear in the state"
             raise value_error("sensors", sensors, allowed)
-        self.names = tuple(name for each in dict.fromkeys(sensors) for name in LINEAR_SENSORS[each])
-        columns, measured = LinearMeasurements(plant.model).measure(np.eye(2 * plant.model.n_dof)), plant.measured()
+        if "motor_encoders" not in names and model.constants.gravity.any():
+            raise value_error(
+                "sensors", sensors, "motor_encoders with them: under gravity the springs are bent at rest"
+            )
+        self.names = tuple(name for each in dict.fromkeys(sensors) for name in linear[each])
+        states = np.eye(2 * model.n_dof)
+        columns = LinearMeasurements(model).measure(states) | {"joint_angles": states[:, : model.n_joints]}
+        measured = plant.measured()
         ends = np.cumsum([0, *(columns[name].shape[1] for name in self.names)]).tolist()
         self.places = {name: slice(*both) for name, *both in zip(self.names, ends, ends[1:], strict=False)}
+        self.posture = self.places.get("motor_angles") or self.places["joint_angles"]
         self.matrix: Array = np.hstack([columns[name] for name in self.names]).T.copy()
         errors = np.hstack([measured[name] for name in self.names])
         self.ranges, deviations = errors[:2]
         self.biases, self.gain_errors = errors[2:] if len(errors) > 2 else np.zeros((2, len(self.ranges)))
         self.deviations: Array = np.maximum(deviations, MIN_DEVIATION * self.ranges)
-        sizes = [sum(columns[name].shape[1] for name in LINEAR_SENSORS[each]) for each in dict.fromkeys(sensors)]
+        sizes = [sum(columns[name].shape[1] for name in linear[each]) for each in dict.fromkeys(sensors)]
         self._sensors = np.repeat(np.arange(len(sizes)), sizes)  # index of the sensor of each measurement
         self._firsts = np.cumsum([0, *sizes])[:-1]  # index of the first measurement of each sensor
 
