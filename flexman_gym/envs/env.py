@@ -22,6 +22,7 @@ from flexman_gym.envs.infos import INFO_MODES, flat_info
 from flexman_gym.envs.rendering import RENDER_KEYWORDS, RENDER_MODES, make_renderer
 from flexman_gym.envs.stateful import StatefulEnv
 from flexman_gym.kernels import layout
+from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.simulator import Simulator
 
 Observation = NDArray[np.float32]
@@ -154,7 +155,8 @@ class FlexManEnv(StatefulEnv, gym.Env[Observation, Observation]):
         self._arguments = dict(zip(OWN_KEYWORDS, (infos, render_mode, *look), strict=True)) | settings
         configuration = Configuration.from_keywords(settings, OWN_KEYWORDS)
         model, method, step, self.choice = resolve_fidelity(configuration)
-        self.simulator = Simulator(model, method, step, configuration.control_period)
+        batch = Batch(model, method, step, configuration.control_period, rotates=configuration.rotates)
+        self.simulator = Simulator.of_batch(batch)
         self.configuration, self.task = configuration, configuration.task
         self.torque_limit = np.array(configuration.torque_limit)
         self.episodes = Episodes(configuration, self.simulator.batch)

@@ -21,7 +21,6 @@ from flexman_gym.envs.config.base_and_mode import make_base_and_mode, make_safe
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.reset_options import parse_reset_options, replace_tip_positions
 from flexman_gym.envs.effects import EffectContext
-from flexman_gym.envs.foundation import MovingFoundation
 from flexman_gym.envs.measurements import Measurements
 from flexman_gym.envs.motors import Motors
 from flexman_gym.envs.period import advance
@@ -80,7 +79,7 @@ class Episodes:
         batch: simulated arms.
         view: named quantities of the arms.
         task: task of all arms.
-        foundation: foundations of the arms that the agent moves; None for fixed bases.
+        foundation: foundations of the arms, see `envs.foundation`; None for fixed bases.
         measurements: sensors of the agent and its action mode.
         agent: observations, history, action repeat, action mode and base controller.
         effects: disturbances and parameter draws enabled by the randomisation and by the task; None without any.
@@ -104,9 +103,9 @@ class Episodes:
 
     def __init__(self, configuration: Configuration, batch: Batch) -> None:
         self.batch, self.task, self.view = batch, configuration.task, View(batch, configuration.slew_time)
-        self.foundation: MovingFoundation | None = None
+        self.foundation: Any = None
         if configuration.foundation is not None:
-            self.foundation = MovingFoundation(configuration.foundation, len(batch.rows), batch.control_period)
+            self.foundation = configuration.foundation.make(batch)
             self.state_fields = (*self.state_fields, "foundation")
         self.view.foundation = self.foundation
         self._compute_reward_terms = make_reward_terms(configuration.task, configuration.reward)
@@ -285,18 +284,20 @@ class Episodes:
         view.target[arms], view.goal_angles[arms] = self.task.goal(parameters, np.zeros(len(arms)), view)
         if self.foundation is not None:
             self.foundation.begin(arms, parameters)
-            view.target[arms] = self.foundation.set_targets(arms, view.target[arms])
+            self.foundation.aim(view, arms)
         view.target_velocity[arms] = view.goal_rates[arms] = 0.0
 
     def _begin_agent(self, arms: IntArray, parameters: Mapping[str, Array], posture: Array) -> None:
         """Start episodes of the agent for the arms (r,), with parameters (r, ...) and initial goal postures (r, n)."""
         task, view = self.task, self.view
         path = partial(goal_path, task, parameters, self._path_periods, view) if task.moves else None
+        if self.foundation is not None and self.foundation.moves_goals:
+            path = partial(self.foundation.path, parameters, self._path_periods, view)
         drawn = self.effects.drawn if self.effects else {}
         drawn = {name: values[arms] for name, values in drawn.items() if name not in UNMODELLED}
         travel = None
         if self.foundation is not None:
-            travel = np.hstack([parameters["travel_start"], parameters["travel_goal"]])
+            travel = self.foundation.ends(parameters)
         info = EpisodeInfo(parameters["start"], posture, view.control_period, path, drawn, travel)
         self.agent.reset(arms, info, len(self.over))
 

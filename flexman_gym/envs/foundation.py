@@ -1,4 +1,4 @@
-"""Foundation of an arm that moves: its travel on a servo, which an agent commands."""
+"""Foundation of an arm that moves: its travel on a servo, which an agent commands, and the table of foundations."""
 
 import math
 from collections.abc import Mapping
@@ -10,6 +10,10 @@ import numpy as np
 from flexman_gym.common.arrays import Array, BoolArray, IntArray, Vector
 from flexman_gym.common.checks import mapping, one_of, positive, set_fields, text, vector
 from flexman_gym.common.errors import value_error
+from flexman_gym.envs.deck import Sea
+from flexman_gym.envs.sensors.sensor import Entry
+from flexman_gym.envs.view import View
+from flexman_gym.simulation.batch import Batch
 
 
 @dataclass(frozen=True)
@@ -47,8 +51,22 @@ class Travel:
         """Names of the entries of an action."""
         return ("travel",)
 
+    @property
+    def rotates(self) -> bool:
+        """False: the base keeps its attitude."""
+        return False
 
-KINDS: dict[str, type[Any]] = {"travel": Travel}
+    @property
+    def range(self) -> float:
+        """Largest distance of the base from the middle, m."""
+        return self.travel
+
+    def make(self, batch: Batch) -> "MovingFoundation":
+        """Return the foundations of the arms of a batch."""
+        return MovingFoundation(self, len(batch.rows), batch.control_period)
+
+
+KINDS: dict[str, type[Any]] = {"travel": Travel, "sea": Sea}
 
 
 def find_foundation(value: object) -> Any:
@@ -83,6 +101,7 @@ class MovingFoundation:
     """
 
     state_fields = ("position", "velocity", "goal", "_targets")
+    moves_goals = False  # the goal of the motor angles rests
 
     def __init__(self, travel: Travel, arms: int, period: float) -> None:
         self.settings, self._period, self._axis = travel, period, np.array(travel.axis)
@@ -108,21 +127,31 @@ class MovingFoundation:
         self.position[arms], self.goal[arms] = parameters["travel_start"], parameters["travel_goal"]
         self.velocity[arms] = self.accelerations[arms] = 0.0
 
-    def set_targets(self, arms: Any, targets: Array) -> Array:
-        """Store targets (r, 3) in the frame of a base at its goal; return them in the frame of the base, m."""
-        self._targets[arms] = targets
-        return self.targets(arms)
+    def aim(self, view: View, arms: Any) -> None:
+        """Store the targets of arms, given for a base at its goal, and set those in the present base frame."""
+        self._targets[arms] = view.target[arms]
+        view.target[arms] = self._in_base(arms)
 
-    def targets(self, arms: Any) -> Array:
+    def follow(self, view: View, arms: Any) -> None:
+        """Set the targets of arms, and their velocities, in the frame of a base that has moved."""
+        target = self._in_base(arms)
+        view.target_velocity[arms] = (target - view.target[arms]) / view.control_period
+        view.target[arms] = target
+
+    def _in_base(self, arms: Any) -> Array:
         """Return the targets (r, 3) of arms in the frame of the base, m."""
         result: Array = self._targets[arms] + (self.goal[arms] - self.position[arms]) * self._axis
         return result
 
-    def move(self, commands: Array, moving: BoolArray) -> None:
-        """Advance the moving arms by a control period under commands (b, 1), and set `accelerations`.
+    def move(self, mode: Any, moving: BoolArray) -> None:
+        """Advance the moving arms (b,) by a control period under the commands of a `FoundationMode`."""
+        self.advance(mode.commands, moving)
+
+    def advance(self, commands: Array, moving: BoolArray) -> None:
+        """Advance the moving arms by a control period, and set `accelerations`.
 
         Args:
-            commands: velocities as fractions of the largest speed.
+            commands: (b, 1) velocities as fractions of the largest speed.
             moving: (b,) flags of the arms that move.
         """
         travel, period, speed = self.settings, self._period, self.velocity
@@ -137,6 +166,19 @@ class MovingFoundation:
         self.accelerations[:] = (reached - speed) / period * self._axis
         self.position += 0.5 * period * (speed + reached) * moving[:, None]
         self.velocity[:] = reached
+
+    def ends(self, parameters: Mapping[str, Array]) -> Array:
+        """Return start and goal of the travel (r, 2), m, from parameters as drawn."""
+        return np.hstack([parameters["travel_start"], parameters["travel_goal"]])
+
+    def entries(self) -> list[Entry]:
+        """Return the entries of `readings`."""
+        travel = self.settings
+        return [
+            Entry("travel", 1, "m", travel.travel),
+            Entry("travel_rate", 1, "m/s", travel.speed),
+            Entry("travel_error", 1, "m", 2.0 * travel.travel),
+        ]
 
     @property
     def readings(self) -> Array:

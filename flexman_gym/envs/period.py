@@ -13,7 +13,6 @@ from flexman_gym.kernels import control_period as kernels
 
 if TYPE_CHECKING:
     from flexman_gym.envs.episodes import Episodes
-    from flexman_gym.envs.view import View
 
 
 def advance(episodes: "Episodes", moving: BoolArray) -> bool:
@@ -38,7 +37,7 @@ def advance(episodes: "Episodes", moving: BoolArray) -> bool:
         arriving = np.ascontiguousarray(effects.motor_actions(actions))
         effects.disturb(motors.pushes, motors.forces, motors.accelerations, episodes.over)
     if foundation is not None:
-        foundation.move(agent.mode.commands, moving)  # type: ignore[attr-defined]
+        foundation.move(agent.mode, moving)
         motors.accelerations += foundation.accelerations
     arriving = motors.lagged(arriving)
     kernels.apply_actions(actions, arriving, motors.limits, moving, motors.drive, view.action, view.effort)
@@ -46,7 +45,7 @@ def advance(episodes: "Episodes", moving: BoolArray) -> bool:
     if episodes.task.moves:
         _move_goals(episodes, slice(None) if arms is None else arms)
     elif foundation is not None:
-        _follow_foundation(view, slice(None) if arms is None else arms)
+        foundation.follow(view, slice(None) if arms is None else arms)
     view.read()
     episodes.clear_cache()
     episodes.measurements.sample(None if arms is None else np.flatnonzero(arms))
@@ -56,19 +55,10 @@ def advance(episodes: "Episodes", moving: BoolArray) -> bool:
     return last
 
 
-def _follow_foundation(view: "View", arms: BoolArray | slice) -> None:
-    """Set the targets of arms in the frame of a base that has moved, and their velocities."""
-    target = view.foundation.targets(arms)
-    view.target_velocity[arms] = (target - view.target[arms]) / view.control_period
-    view.target[arms] = target
-
-
 def _move_goals(episodes: "Episodes", arms: BoolArray | slice) -> None:
     """Set the goals of arms at the current time and their rates."""
     view = episodes.view
     goal = episodes.task.goal(view.episode_parameters, episodes.batch.time, view)
-    if episodes.foundation is not None:
-        goal = goal._replace(target=episodes.foundation.set_targets(slice(None), goal.target))
     view.target_velocity[arms] = (goal.target[arms] - view.target[arms]) / view.control_period
     view.goal_rates[arms] = (goal.angles[arms] - view.goal_angles[arms]) / view.control_period
     view.target[arms], view.goal_angles[arms] = goal.target[arms], goal.angles[arms]

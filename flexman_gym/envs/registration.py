@@ -21,6 +21,7 @@ IDS = (
     "FlexCrane-v0",
     "FlexTwoMass-v0",
     "FlexGantry-v0",
+    "FlexDeck-v0",
 )
 NOMINAL = "nominal"  # name of the condition without changes
 CONDITIONS = (NOMINAL, *sorted({path.stem for path in CONDITION_FOLDER.glob("*/*.yaml")}))

@@ -96,7 +96,8 @@ class FlexManVectorEnv(StatefulEnv, VectorEnv[Observations, Array, Any]):
         configuration = Configuration.from_keywords(settings, OWN_KEYWORDS)
         model, method, step, self.choice = resolve_fidelity(configuration)
         period = configuration.control_period
-        self.batch = Batch(model, method, step, period, arms=num_envs, threads=threads)
+        rotates = configuration.rotates
+        self.batch = Batch(model, method, step, period, arms=num_envs, threads=threads, rotates=rotates)
         self.configuration, self.task = configuration, configuration.task
         self.torque_limit = np.array(configuration.torque_limit)
         self.episodes = Episodes(configuration, self.batch)

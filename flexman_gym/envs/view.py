@@ -35,7 +35,7 @@ class View:
         n_joints: number of joints n.
         reach: sum of the lengths of the links, m.
         lengths: (n,) lengths of the links, m.
-        foundation: `envs.foundation.MovingFoundation` of the arms; None for a fixed base.
+        foundation: `envs.foundation.MovingFoundation` or `envs.deck.DeckMotion` of the arms; None for a fixed base.
         gear_ratios: (n,) turns of the motor shaft per turn of the joint; 1 for a joint without a `Motor`.
         has_gravity: True for an arm under gravity.
         gauge_radii: (n, 3) distances of the gauges of `root_strains` from the axis of the link, m.
@@ -162,8 +162,8 @@ class View:
 
     @property
     def span(self) -> float:
-        """Largest distance of a target from the base, m: the reach, and the way from stop to stop of a foundation."""
-        return self.reach if self.foundation is None else self.reach + self.foundation.settings.travel
+        """Reach, and largest distance of a moving base from its middle, m."""
+        return self.reach if self.foundation is None else self.reach + float(self.foundation.settings.range)
 
     @property
     def root_strains(self) -> Array:

@@ -22,6 +22,7 @@ __all__ = [
     "TOOL",
     "apkarian_1998",
     "de_luca_siciliano",
+    "deck_arm",
     "flexarm_rome",
     "gantry",
     "gifu_2link",
@@ -59,6 +60,8 @@ flexarm_rome = named_arm("flexarm_rome")
 """FLEXARM of the University of Rome: a rigid link, then a flexible link."""
 de_luca_siciliano = named_arm("de_luca_siciliano")
 """Two-link arm of De Luca and Siciliano."""
+deck_arm = named_arm("deck_arm")
+"""Arm on the deck of a ship: three joints, two flexible links of 4 m and 3.5 m, bent at zero joint angles."""
 gantry = named_arm("gantry")
 """Cantilever bridge on the portal of a gantry crane, with a load on a rope; its portal travels."""
 gifu_2link = named_arm("gifu_2link")

@@ -44,6 +44,16 @@ def rotation_matrix(attitude: Sequence[float] | Array) -> Array:
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
+def foundation_motion(row: Array, time: float) -> Array:
+    """Return gravity, angular velocity and angular acceleration (9,) of a foundation row at a time after its start (s).
+
+    The kernel is `kernels.foundation.evaluate_foundation`.
+    """
+    series = row[2 : 2 + 6 * FOUNDATION_PART].reshape(6, FOUNDATION_PART)
+    powers, orders = time ** np.arange(FOUNDATION_PART), np.arange(1, FOUNDATION_PART)
+    return np.concatenate([series @ powers, (series[3:, 1:] * orders) @ powers[:-1]])
+
+
 class FoundationRotation:
     """Rotation of a base whose angular acceleration in the base frame is prescribed.
 
@@ -126,11 +136,8 @@ class FoundationRotation:
     def motion(self, times: NDArray[Any]) -> Array:
         """Return gravity (m/s^2), angular velocity (rad/s) and its rate (rad/s^2) at times (s), (T, 9), base frame."""
         places = np.clip(np.searchsorted(self.times, times, side="right") - 1, 0, len(self.rows) - 1)
-        after, series = times - self.times[places], self.rows[places, 2 : 2 + 6 * FOUNDATION_PART]
-        powers = after[:, None] ** np.arange(FOUNDATION_PART)
-        series = series.reshape(len(times), 6, FOUNDATION_PART)
-        slopes = series[:, 3:, 1:] * np.arange(1, FOUNDATION_PART)
-        return np.hstack([np.einsum("tik,tk->ti", series, powers), np.einsum("tik,tk->ti", slopes, powers[:, :-1])])
+        after = (times - self.times[places]).tolist()
+        return np.array([foundation_motion(self.rows[i], time) for i, time in zip(places, after, strict=True)])
 
     def columns(self, time: float) -> Array:
         """Return the foundation row at a time (s) as columns (7, FOUNDATION / 7) of a drive table."""

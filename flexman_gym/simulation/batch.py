@@ -50,6 +50,8 @@ class Batch:
         energy_turnover: (b,) largest magnitude since the reset of kinetic + elastic energy, work or dissipation, J; the
             scale for `energy_residual`.
         nominal: name of each physical parameter of `vary` -> its value in the model.
+        foundation: (b, FOUNDATION) foundation rows of the next control period, with times from its start, see
+            `kernels.layout`; they also hold at a reset. (b, 0) for bases that do not rotate.
 
     Args:
         model: the model of all arms.
@@ -62,9 +64,10 @@ class Batch:
         prescribed: indices, from 0, of the joints whose motors follow prescribed accelerations instead of torques.
         arms: number of arms b, 1 to 65536.
         threads: largest number of threads, 1 to 256.
+        rotates: True for bases with prescribed rotation.
     """
 
-    state_fields = (
+    state_fields: tuple[str, ...] = (
         "rows", "outputs", "status", "_periods", "energy_turnover", "start_energy", "_mover", "_drive", "_felt",
         "_known",
     )  # fmt: skip
@@ -81,6 +84,7 @@ class Batch:
         *,
         arms: int = 1,
         threads: int = 1,
+        rotates: bool = False,
     ) -> None:
         self.model = check_model(model)
         self.method = find_method(method)
@@ -91,16 +95,20 @@ class Batch:
         joints = _joints(prescribed, n)
         fixed = None if step is None else self.control_period / self.substeps
         tolerance = find_tolerance(self.method, fixed, rtol, atol)
-        self._bound = tolerance, joints
+        self._bound = tolerance, joints, rotates
+        self.foundation = np.zeros((count, layout.FOUNDATION if rotates else 0))
+        self._past_foundation = self.foundation.copy()  # rows of the last control period
+        if rotates:
+            self.state_fields = (*self.state_fields, "foundation", "_past_foundation")
         period = self.control_period, self.substeps
         self._mover: BatchIntegrator
         self._bound_mover: BatchIntegrator | None = None  # integrator for which `bind_period` was called
         if not isinstance(self.method, ScipyMethod) and self.method.in_lanes and tolerance is None:
-            constants = with_prescribed(model.constants, joints)
+            constants = with_prescribed(model.constants, joints, rotates)
             self._mover = LaneIntegrator(constants, self.method, period, count, threads)
         else:
             self._mover = SequentialIntegrator(
-                [Integrator(model, self.method, tolerance, joints) for _ in range(count)], period
+                [Integrator(model, self.method, tolerance, joints, rotates) for _ in range(count)], period
             )
         self.rows = np.zeros((count, 2 * model.n_dof + 2))
         self.state = self.rows[:, :-2]
@@ -128,7 +136,10 @@ class Batch:
             check_magnitudes("states", states.ravel().tolist(), layout.LARGEST_STATE)
         self.place(arms, states)
         self._periods[arms] = self._drive[arms] = 0.0
-        self._mover.compute_outputs(arms, self.rows, self.outputs)
+        self._past_foundation[arms] = self.foundation[arms]
+        self._past_foundation[arms, 1:2] = 0.0  # tip accelerations are those at the start
+        foundation = (self.foundation,) if self.foundation.shape[1] else ()
+        self._mover.compute_outputs(arms, self.rows, self.outputs, *foundation)
         energy = np.empty(len(self.rows))
         outputs.total_energies(self.outputs, energy)
         self.start_energy[arms], self.energy_turnover[arms] = energy[arms], 0.0
@@ -153,15 +164,23 @@ class Batch:
                 motors, rad/s^2), tip force, N, and base acceleration, m/s^2; not checked.
             moving: (b,) flags of the arms to integrate; None for all.
         """
+        inputs = self._with_foundation(drive, self.foundation)
+        if self.foundation.shape[1]:
+            self._past_foundation[:] = self.foundation
         if moving is None:
             status = self.status
-            self._mover.integrate(drive, self._periods, self.rows, self.outputs, status)
+            self._mover.integrate(inputs, self._periods, self.rows, self.outputs, status)
         else:
             status = np.where(moving, self.status, EXCLUDED)
-            self._mover.integrate(drive, self._periods, self.rows, self.outputs, status)
+            self._mover.integrate(inputs, self._periods, self.rows, self.outputs, status)
             self.status[moving] = status[moving]
         self._known = False
         close_period(self.rows, self.outputs, status, drive, self._periods, self._drive, self.energy_turnover)
+
+    @staticmethod
+    def _with_foundation(drive: Array, foundation: Array) -> Array:
+        """Return inputs (b, n + 6) with the foundation rows of rotating bases."""
+        return np.hstack([drive, foundation]) if foundation.shape[1] else drive
 
     def period_arrays(self) -> dict[str, Any]:
         """Return the arrays that `step` changes by their names in `kernels.layout.Period`."""
@@ -177,7 +196,7 @@ class Batch:
             drive: (1, n + 6) as in `step`.
             period: arrays of the environment, among them the drive and `period_arrays`; they must stay alive.
         """
-        if not isinstance(self._mover, LaneIntegrator):
+        if not isinstance(self._mover, LaneIntegrator) or self.foundation.shape[1]:
             return None
         self._bound_mover = self._mover
         return self._mover.single_arguments(drive, self.rows, self.outputs, self.status, period)
@@ -213,6 +232,8 @@ class Batch:
             States (b, T, 2 d) and outputs (b, T, OUTPUTS) after each control period; NaN from the period in which an
             arm failed.
         """
+        if self.foundation.shape[1]:
+            raise value_error("rotates", True, "False: several control periods at once need bases that do not rotate")
         count, periods = drives.shape[:2]
         rows, read = (np.full((count, periods, each.shape[1]), np.nan) for each in (self.rows, self.outputs))
         results = self.rows, self.outputs, self.status, (rows, read)
@@ -242,7 +263,8 @@ class Batch:
         zero inputs. They are computed on demand, once in a period. Later calls overwrite the array.
         """
         if not self._known:
-            self._mover.compute_tip_accelerations(self._drive, self.rows, self._felt)
+            inputs = self._with_foundation(self._drive, self._past_foundation)
+            self._mover.compute_tip_accelerations(inputs, self.rows, self._felt)
             self._known = True
         return self._felt
 
@@ -294,7 +316,13 @@ class Batch:
         return stiffness, twists, shares
 
     def replace_integrator(self, make: Callable[[BatchIntegrator], BatchIntegrator]) -> None:
-        """Replace the batch integrator by `make(present batch integrator)`; reset all arms before the next step."""
+        """Replace the batch integrator by `make(present batch integrator)`; reset all arms before the next step.
+
+        Raises:
+            ValueError: for bases that rotate.
+        """
+        if self.foundation.shape[1]:
+            raise value_error("rotates", True, "False: another simulation of the arms needs bases that do not rotate")
         self._mover = make(self._mover)
 
     @property

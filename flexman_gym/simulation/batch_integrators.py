@@ -29,6 +29,7 @@ from flexman_gym.kernels.arguments import (
 from flexman_gym.kernels.lanes import NUMBER
 from flexman_gym.kernels.layout import ARMS_PER_GROUP, Constants, IntArray, Period, StepGrid, make_work
 from flexman_gym.kernels.outputs import tip_accelerations
+from flexman_gym.scene.foundation import foundation_motion
 from flexman_gym.scene.signals import signal_table
 from flexman_gym.simulation.integrator import LANE_COST_RATIO, Integrator, evaluations_per_call, step_ranges
 from flexman_gym.simulation.methods import FixedStepMethod
@@ -56,8 +57,11 @@ class BatchIntegrator(Protocol):
     def constants(self, arm: int) -> dict[str, Any]:
         """Return copies of the constants PER_ARM of an arm, by name."""
 
-    def compute_outputs(self, arms: IntArray, rows: Array, outputs: Array) -> None:
-        """Compute the outputs of the arms with the indices (r,) from the states in `rows`, and call `forget`."""
+    def compute_outputs(self, arms: IntArray, rows: Array, outputs: Array, foundation: Array | None = None) -> None:
+        """Compute the outputs of the arms with the indices (r,) from the states in `rows`, and call `forget`.
+
+        `foundation` are the foundation rows of all arms; None or (b, 0) for bases that do not rotate.
+        """
 
     def forget(self, arms: IntArray) -> None:
         """Clear the data that the method keeps between steps, for the arms with the indices (r,)."""
@@ -116,10 +120,13 @@ class SequentialIntegrator(BatchIntegrator):
             for each in self._integrators
         ]
 
-    def compute_outputs(self, arms: IntArray, rows: Array, outputs: Array) -> None:
+    def compute_outputs(self, arms: IntArray, rows: Array, outputs: Array, foundation: Array | None = None) -> None:
         """Compute the outputs of some arms, and clear the data that their method keeps."""
         for arm in arms:
-            self._integrators[arm].start(rows[arm], rows[arm].copy(), outputs[arm])
+            drive = None
+            if foundation is not None and foundation.shape[1]:
+                drive = self._table(np.append(np.zeros(self._drive.shape[1]), foundation[arm]), 0.0)
+            self._integrators[arm].start(rows[arm], rows[arm].copy(), outputs[arm], drive)
 
     def forget(self, arms: IntArray) -> None:
         """Clear the data that the method of some arms keeps between steps."""
@@ -130,16 +137,29 @@ class SequentialIntegrator(BatchIntegrator):
         """Integrate the arms whose status is OK over one control period."""
         row, result = np.zeros((1, rows.shape[1])), np.zeros((1, layout.OUTPUTS))
         for arm in np.flatnonzero(status == layout.OK):
-            self._drive[layout.OFFSET] = drives[arm]
-            grid, state = (periods[arm] * self._period, self._step, self._substeps), rows[arm].copy()
-            status[arm] = self._integrators[arm](self._drive, grid, state, row, result)[0]
+            start = periods[arm] * self._period
+            table, grid, state = self._table(drives[arm], start), (start, self._step, self._substeps), rows[arm].copy()
+            status[arm] = self._integrators[arm](table, grid, state, row, result)[0]
             if status[arm] == layout.OK:
                 rows[arm], outputs[arm] = state, result[0]
 
+    def _table(self, inputs: Array, start: float) -> Array:
+        """Return the drive table of inputs that are constant from a time on (s), with their foundation row, if any."""
+        count = self._drive.shape[1]
+        self._drive[layout.OFFSET] = inputs[:count]
+        if len(inputs) == count:
+            return self._drive
+        row = inputs[count:].copy()
+        row[0] += start
+        return np.hstack([self._drive, row.reshape(len(self._drive), -1)])
+
     def compute_tip_accelerations(self, drives: Array, rows: Array, result: Array) -> None:
         """Compute the tip accelerations of all arms."""
-        d = rows.shape[1] // 2 - 1
-        for each, drive, row, out in zip(self._integrators, drives, rows, result, strict=True):
+        d, count = rows.shape[1] // 2 - 1, self._drive.shape[1]
+        for each, inputs, row, out in zip(self._integrators, drives, rows, result, strict=True):
+            drive = inputs[:count]
+            if len(inputs) > count:
+                drive = np.append(drive, foundation_motion(inputs[count:], inputs[count + 1]))
             tip_accelerations(each.constants, each.work, row[:d], row[d : 2 * d], drive, out)
 
 
@@ -182,6 +202,8 @@ class LaneIntegrator(BatchIntegrator):
             ]
         step_cost = LANE_COST_RATIO * method.evaluations
         self._max_steps = max(1, evaluations_per_call(constants) // step_cost)  # steps of a group in a kernel call
+        if constants.rotating[0] and self._substeps > self._max_steps:
+            raise value_error("step", self._step, f"at most {self._max_steps} steps in a control period")
         element, own = ELEMENTS[self._kind]
         self._tables = np.array([address_table(each, element, own) for each in self._constants])
         self._work_tables = [address_table(each, element) for each in self._works]
@@ -222,11 +244,13 @@ class LaneIntegrator(BatchIntegrator):
                 else:
                     target[..., lanes[some]] = np.moveaxis(values[some], 0, -1)
 
-    def compute_outputs(self, arms: IntArray, rows: Array, outputs: Array) -> None:
+    def compute_outputs(self, arms: IntArray, rows: Array, outputs: Array, foundation: Array | None = None) -> None:
         """Compute the outputs of some arms, by zero steps."""
         self._reset_status[:] = layout.NOT_CONVERGED
         self._reset_status[arms] = layout.OK
         drives = np.zeros((len(rows), len(self._constants[0].mass) + 6))
+        if foundation is not None and foundation.shape[1]:
+            drives = np.hstack([drives, foundation])
         self._integrate_period(drives, 0, rows, outputs, self._reset_status)
 
     def forget(self, arms: IntArray) -> None:

@@ -81,7 +81,7 @@ class ExternalIntegrator(BatchIntegrator):
         """Return copies of the constants of one arm."""
         return self._integrator.constants(arm)
 
-    def compute_outputs(self, arms: IntArray, rows: Array, outputs: Array) -> None:
+    def compute_outputs(self, arms: IntArray, rows: Array, outputs: Array, foundation: Array | None = None) -> None:
         """Start some arms in the external simulator from their rows, and compute their outputs."""
         d = self._model.n_dof
         for arm in arms.tolist():

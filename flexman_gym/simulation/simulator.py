@@ -1,6 +1,7 @@
 """Simulator of one arm, one control period after another."""
 
 from collections.abc import Collection
+from typing import Self
 
 import numpy as np
 
@@ -61,12 +62,21 @@ class Simulator:
         atol: float = 1e-9,
         prescribed: Collection[int] = (),
     ) -> None:
-        self.batch = Batch(model, method, step, control_period, rtol, atol, prescribed)
-        self.model, self.method = self.batch.model, self.batch.method
-        self.control_period, self.substeps = self.batch.control_period, self.batch.substeps
-        self.state, self.outputs = self.batch.state[0], self.batch.outputs[0]
-        self.prescribed = np.isin(np.arange(model.n_joints), list(prescribed))
-        self._drive = np.zeros((1, model.n_joints + 6))
+        self._simulate(Batch(model, method, step, control_period, rtol, atol, prescribed), prescribed)
+
+    @classmethod
+    def of_batch(cls, batch: Batch) -> Self:
+        """Return the simulator of the only arm of a batch without prescribed motions; its base may rotate."""
+        result = cls.__new__(cls)
+        result._simulate(batch, ())
+        return result
+
+    def _simulate(self, batch: Batch, prescribed: Collection[int]) -> None:
+        self.batch, self.model, self.method = batch, batch.model, batch.method
+        self.control_period, self.substeps = batch.control_period, batch.substeps
+        self.state, self.outputs = batch.state[0], batch.outputs[0]
+        self.prescribed = np.isin(np.arange(self.model.n_joints), list(prescribed))
+        self._drive = np.zeros((1, self.model.n_joints + 6))
         self._record: list[tuple[Array, Array]] | None = None
 
     def reset(

@@ -50,7 +50,7 @@ def test_servo_keeps_its_limits_and_stops_before_the_end_of_the_travel(seed, spe
         before, commands = foundation.velocity.copy(), rng.uniform(-1.0, 1.0, (3, 1))
         commands[0] = np.sign(np.sin(k / 90.0))  # full speed to and fro
         commands[1] = 1.0
-        foundation.move(commands, every)
+        foundation.advance(commands, every)
         assert np.abs(foundation.position).max() <= travel * slack
         assert np.abs(foundation.velocity).max() <= speed * slack
         assert np.abs(foundation.velocity - before).max() <= acceleration * period * slack
@@ -61,7 +61,7 @@ def test_servo_at_full_speed_comes_to_rest_at_the_stop(period):
     foundation = MovingFoundation(Travel(speed=1.5, acceleration=0.7, travel=2.0), 1, period)
     foundation.begin(np.array([0]), {"travel_start": np.full((1, 1), -2.0), "travel_goal": np.zeros((1, 1))})
     for _ in range(round(12.0 / period)):
-        foundation.move(np.ones((1, 1)), np.array([True]))
+        foundation.advance(np.ones((1, 1)), np.array([True]))
     assert 0.0 <= foundation.velocity[0, 0] < 0.01
     assert 2.0 - 0.01 * 2.0 - 1.5 * period < foundation.position[0, 0] <= 2.0
 
@@ -70,7 +70,7 @@ def test_servo_reaches_a_commanded_velocity_at_the_end_of_a_period_half_a_period
     foundation = MovingFoundation(Travel(speed=1.0, acceleration=100.0, travel=50.0), 1, 0.01)
     foundation.begin(np.array([0]), {"travel_start": np.zeros((1, 1)), "travel_goal": np.zeros((1, 1))})
     for _ in range(100):
-        foundation.move(np.array([[0.5]]), np.array([True]))
+        foundation.advance(np.array([[0.5]]), np.array([True]))
     assert foundation.velocity[0, 0] == 0.5
     assert foundation.position[0, 0] == pytest.approx(0.5 * (1.0 - 0.005))
 

@@ -103,7 +103,7 @@ class Configuration(EnvironmentSettings):
     def _check_joints(self) -> None:
         """Check what passive joints exclude, and store the torque limits."""
         passive = [joint.passive for joint in self.arm.joints]
-        if all(passive) and self.foundation is None:
+        if all(passive) and not getattr(self.foundation, "names", ()):
             raise value_error("arm.joints", "passive joints", "a joint with a motor, or the setting foundation")
         if any(passive):
             because = f": joint {passive.index(True) + 1} of the arm is passive"
@@ -113,9 +113,18 @@ class Configuration(EnvironmentSettings):
                 raise value_error("safety", self.safety, f"False{because}")
             if isinstance(self.actions, str | dict) and self.actions != "torque":  # an object is the user's own
                 raise value_error("actions", self.actions, f"'torque'{because}")
-        if self.foundation is not None and self.safety:
-            raise value_error("safety", self.safety, "False: the foundation of the arm moves")
+        if self.foundation is not None:
+            self._check_foundation(any(passive))
         vars(self)["torque_limit"] = arm_torque_limits(self.arm, self.torque_limit)
+
+    def _check_foundation(self, passive: bool) -> None:
+        """Check what a moving foundation excludes, for an arm with or without passive joints."""
+        if self.safety:
+            raise value_error("safety", self.safety, "False: the foundation of the arm moves")
+        if self.task.moves:
+            raise value_error("task", self.task, "a task whose goal rests: the foundation of the arm moves")
+        if self.foundation.rotates and passive:
+            raise value_error("foundation", self.foundation, "one that does not rotate: a joint of the arm is passive")
 
     def _derive_settings(self) -> dict[str, Any]:
         """Return the missing settings that follow from an arm of the user."""
@@ -358,6 +367,11 @@ class Configuration(EnvironmentSettings):
         if not of_task:
             return given
         return Randomisation(**of_task | (given.given if given else {}))
+
+    @property
+    def rotates(self) -> bool:
+        """True for an arm whose base rotates."""
+        return self.foundation is not None and bool(self.foundation.rotates)
 
     @property
     def randomised_ranges(self) -> dict[str, Any]:

@@ -47,7 +47,7 @@ def make_plant(configuration: Configuration, model: Model) -> Plant:
         configuration.drive_bandwidth,
         configuration.limits.rate,
         named.control_period if configuration.has_named_motors else None,
-        configuration.foundation,
+        configuration.foundation if getattr(configuration.foundation, "names", ()) else None,
         any("joint_angles" in measured_names([sensor]) for sensor in configuration.sensors),
     )
 

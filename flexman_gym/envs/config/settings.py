@@ -214,8 +214,10 @@ class EnvironmentSettings:
         _actions_setting, named=True,
     )
     foundation: Any = _setting(
-        "Travel of the foundation, which the agent commands. A mapping with 'travel' at 'kind', and axis, speed (m/s), "
-        "acceleration (m/s^2) and travel (m, the distance of the stops from the middle); None for a fixed foundation.",
+        "Motion of the foundation. A mapping with 'travel' at 'kind', which the agent commands, and axis, speed (m/s), "
+        "acceleration (m/s^2) and travel (m, the distance of the stops from the middle); or with 'sea', a deck in a "
+        "seaway, and its period (s) and significant amplitudes: surge, sway, heave (m), roll, pitch, yaw (rad). None "
+        "for a fixed foundation.",
         find_foundation, named=True, plain=plain_foundation,
     )
     clip_actions: bool = _setting(

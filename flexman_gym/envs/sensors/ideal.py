@@ -219,23 +219,19 @@ class GoalCommand:
 
 @dataclass
 class FoundationState:
-    """Foundation on a servo: its position, its velocity, and the error of its position, along its axis."""
+    """Foundation: position, velocity and error of the position on a servo, or attitude and motion of a deck."""
 
     measures: ClassVar[tuple[str, ...]] = ()
 
     def entries(self, view: View, limits: Limits) -> Sequence[Entry]:
-        """Return the entries; raise ValueError for an arm whose foundation an agent does not move."""
+        """Return the entries; raise ValueError for an arm whose foundation does not move."""
         if view.foundation is None:
             raise value_error("sensors", "foundation", "a sensor for an environment with the setting foundation")
-        travel = view.foundation.settings
-        return [
-            Entry("travel", 1, "m", travel.travel),
-            Entry("travel_rate", 1, "m/s", travel.speed),
-            Entry("travel_error", 1, "m", 2.0 * travel.travel),
-        ]
+        result: Sequence[Entry] = view.foundation.entries()
+        return result
 
     def read(self, view: View, out: Array) -> None:
-        """Write the readings into out (b, 3)."""
+        """Write the readings into out (b, size)."""
         out[:] = view.foundation.readings
 
 

@@ -456,7 +456,7 @@ class _MachineIntegrator(ExternalIntegrator):
     def __init__(self, integrator: BatchIntegrator, exchange: Callable[[Array | None], Array | None]) -> None:
         self._integrator, self._exchange = integrator, exchange
 
-    def compute_outputs(self, arms: IntArray, rows: Array, outputs: Array) -> None:
+    def compute_outputs(self, arms: IntArray, rows: Array, outputs: Array, foundation: Array | None = None) -> None:
         """Set the state of the first readings, and compute the outputs."""
         state = self._exchange(None)
         assert state is not None
