@@ -181,7 +181,7 @@ class Copy:
 ERRORS = Path(__file__).parent / "errors"  # one file per part
 NAMES = (
     "kernels", "model", "simulation", "environment", "tasks", "sensors", "laboratory", "control", "metrics", "agents",
-    "draw", "fidelity", "command", "machine", "own_arm",
+    "draw", "fidelity", "command", "machine", "own_arm", "foundation",
 )  # fmt: skip
 
 
