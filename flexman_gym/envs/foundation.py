@@ -10,7 +10,8 @@ import numpy as np
 from flexman_gym.common.arrays import Array, BoolArray, IntArray, Vector
 from flexman_gym.common.checks import mapping, one_of, positive, set_fields, text, vector
 from flexman_gym.common.errors import value_error
-from flexman_gym.envs.deck import Sea
+from flexman_gym.envs.base_motion import Sea
+from flexman_gym.envs.base_record import Record
 from flexman_gym.envs.sensors.sensor import Entry
 from flexman_gym.envs.view import View
 from flexman_gym.simulation.batch import Batch
@@ -66,7 +67,7 @@ class Travel:
         return MovingFoundation(self, len(batch.rows), batch.control_period)
 
 
-KINDS: dict[str, type[Any]] = {"travel": Travel, "sea": Sea}
+KINDS: dict[str, type[Any]] = {"travel": Travel, "sea": Sea, "record": Record}
 
 
 def find_foundation(value: object) -> Any:

@@ -6,8 +6,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import flexman_gym as fm
+from flexman_gym.envs.base_motion import COMPONENTS, Sea
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.envs.deck import COMPONENTS, Sea
+from flexman_gym.envs.foundation import plain_foundation
 from flexman_gym.scene.foundation import foundation_motion, rotation_matrix
 
 from oracles.assertions import refusal
@@ -22,7 +23,7 @@ def env():
 
 def poses(deck, times):
     """Return the motions (T, 6) of the first arm, with rates and accelerations, at times (T,), s."""
-    return deck.motion(np.repeat(deck._sea[:1], len(times), axis=0), times)
+    return deck.motion(np.zeros(len(times), dtype=int), times)
 
 
 def test_significant_amplitudes_and_mean_frequency_are_those_of_the_spectrum():
@@ -35,11 +36,11 @@ def test_significant_amplitudes_and_mean_frequency_are_those_of_the_spectrum():
     venv.reset(seed=0)
     deck = venv.episodes.foundation
     times = np.linspace(0.0, 400.0, 801)
-    samples = np.array([deck.motion(deck._sea, np.full(64, time))[0] for time in times])
+    samples = np.array([deck.motion(slice(None), np.full(64, time))[0] for time in times])
     sea = Sea()
     expected = np.array([sea.surge, sea.sway, sea.heave, sea.roll, sea.pitch, sea.yaw]) / 2.0
     np.testing.assert_allclose(samples.std(axis=(0, 1)), expected, rtol=0.03)
-    rates = deck._sea[..., 0]
+    rates = deck._drawn[..., 0]
     assert rates.shape == (64, 6, COMPONENTS)
     assert 2.0 * np.pi / rates.mean() / sea.period == pytest.approx(0.87, abs=0.03)
     spread = rates.reshape(64, -1)
@@ -195,6 +196,31 @@ def test_sensor_of_the_deck_reads_attitude_rates_and_accelerations(env):
     pose, _, acceleration = poses(episodes.foundation, episodes.batch.time)
     episodes.sensors.read()
     readings = episodes.sensors.readings
-    np.testing.assert_allclose(readings["deck_angles"], pose[:, 3:], atol=1e-12)
-    np.testing.assert_allclose(readings["deck_accelerations"], acceleration[:, :3], atol=1e-12)
-    assert (np.abs(readings["deck_rates"]) < env.observation_space.high[episodes.sensors.slices["deck_rates"]]).all()
+    np.testing.assert_allclose(readings["base_angles"], pose[:, 3:], atol=1e-12)
+    np.testing.assert_allclose(readings["base_accelerations"], acceleration[:, :3], atol=1e-12)
+    assert (np.abs(readings["base_rates"]) < env.observation_space.high[episodes.sensors.slices["base_rates"]]).all()
+
+
+def test_recorded_motion_of_a_base_passes_through_its_samples_and_rests_after_it(tmp_path):
+    path, times = tmp_path / "truck.csv", np.linspace(0.0, 2.0, 41)
+    heave, roll = 0.1 * np.sin(np.pi * times) ** 2, 3.0 * np.sin(np.pi * times / 2.0) ** 2
+    rows = "\n".join(f"{t},{h},{r}" for t, h, r in zip(times, heave, roll, strict=True))
+    path.write_text(f"time (s),heave (m),roll (deg)\n{rows}\n")
+    setting = {"kind": "record", "file": str(path), "target": "base"}
+    env = gym.make(ID, foundation=setting, sensors=["full", "foundation"]).unwrapped
+    env.reset(seed=1)
+    foundation, view = env.episodes.foundation, env.episodes.view
+    pose, rate, acceleration = poses(foundation, np.array([0.5, 1.0, 3.0]))
+    np.testing.assert_allclose(pose[:2, 2], 0.1 * np.sin(np.pi * np.array([0.5, 1.0])) ** 2, atol=1e-5)
+    np.testing.assert_allclose(pose[:2, 3], np.radians(3.0 * np.sin(np.pi * np.array([0.25, 0.5])) ** 2), atol=1e-6)
+    assert not rate[2].any() and not acceleration[2].any() and pose[2, 3] == pytest.approx(0.0, abs=1e-12)
+    target, goal = view.target.copy(), view.goal_angles.copy()
+    for _ in range(50):
+        env.step(np.zeros(3, dtype=np.float32))
+    assert np.array_equal(view.target, target) and np.array_equal(view.goal_angles, goal)  # it rests in the base frame
+    assert plain_foundation(Configuration(ID, {"foundation": setting}).foundation) == setting | {"start": 0.0}
+    late = refusal(lambda: Configuration(ID, {"foundation": setting | {"start": 9.0}}))
+    assert late.startswith("Record.start") and "from 0 to 2" in late
+    path.with_name("bad.csv").write_text("time (s),heave (rad)\n0,0\n1,1\n")
+    bad = refusal(lambda: Configuration(ID, {"foundation": setting | {"file": str(path.with_name("bad.csv"))}}))
+    assert bad.startswith("Record.file") and "heave in m" in bad

@@ -219,7 +219,7 @@ class GoalCommand:
 
 @dataclass
 class FoundationState:
-    """Foundation: position, velocity and error of the position on a servo, or attitude and motion of a deck."""
+    """Foundation: position, velocity and error of the position on a servo, or attitude and motion of a base."""
 
     measures: ClassVar[tuple[str, ...]] = ()
 

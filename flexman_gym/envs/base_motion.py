@@ -1,15 +1,15 @@
-"""Deck of a ship in a seaway, on which an arm stands: six motions from a wave spectrum, and targets in the world."""
+"""Prescribed motion of the base of an arm, such as that of a deck in a seaway, and targets that rest in the world."""
 
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from flexman_gym.common.arrays import Array, BoolArray
-from flexman_gym.common.checks import non_negative, positive, set_fields
+from flexman_gym.common.checks import non_negative, one_of, positive, set_fields
 from flexman_gym.common.errors import value_error
 from flexman_gym.envs.sensors.sensor import Entry
 from flexman_gym.envs.view import View
@@ -23,6 +23,8 @@ LOWEST, HIGHEST = 0.6, 2.5  # frequencies of the sines / peak frequency
 PEAK_FACTOR = 3.3  # of the JONSWAP spectrum
 LARGEST_ANGLE = 0.5  # rad; largest significant amplitude of roll, pitch and yaw
 ANGLES, LENGTHS = ("roll", "pitch", "yaw"), ("surge", "sway", "heave")
+FRAMES = ("world", "base")  # frames in which a target may rest
+SMALLEST_BOUND = 1e-6  # rad, m, and per s and s^2; of the readings of a motion that is zero
 
 
 @dataclass(frozen=True)
@@ -30,17 +32,16 @@ class Sea:
     """Motion of a deck in a seaway, drawn for each episode; an agent does not command it.
 
     Each motion is a sum of 12 sines of equal energy, whose frequencies divide a JONSWAP spectrum (Hasselmann and
-    others, 1973; peak factor 3.3) from 0.6 to 2.5 times the peak frequency, with random phases. The attitude is yaw,
-    then pitch, then roll; surge, sway and heave move the base of the arm along the axes of the world. The target of a
-    task is given in the base frame at the start of an episode, and rests in the world from then on; the goal of the
-    motor angles follows it by the inverse kinematics of the undeformed arm.
+    others, 1973; peak factor 3.3) from 0.6 to 2.5 times the peak frequency, with random phases; see `BaseMotion`.
 
     Attributes:
         roll, pitch, yaw: significant amplitudes, rad: twice the standard deviation.
         surge, sway, heave: significant amplitudes, m.
         period: peak period, s.
+        target: frame in which the target of a task rests, "world" or "base".
     """
 
+    parameter: ClassVar[str] = "sea"
     roll: float = 0.06
     pitch: float = 0.03
     yaw: float = 0.02
@@ -48,6 +49,7 @@ class Sea:
     sway: float = 0.2
     heave: float = 0.4
     period: float = 8.0
+    target: str = "world"
 
     def __post_init__(self) -> None:
         for name, unit in (*((each, "rad") for each in ANGLES), *((each, "m") for each in LENGTHS)):
@@ -56,6 +58,7 @@ class Sea:
             if getattr(self, name) > LARGEST_ANGLE:
                 raise value_error(f"Sea.{name}", getattr(self, name), f"a number from 0 to {LARGEST_ANGLE:g} (rad)")
         set_fields(self, period=positive("Sea.period", self.period, "s"))
+        one_of("Sea.target", self.target, FRAMES)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -73,13 +76,33 @@ class Sea:
         return np.array([getattr(self, name) for name in (*LENGTHS, *ANGLES)]) / math.sqrt(2.0 * COMPONENTS)
 
     @property
+    def largest(self) -> Array:
+        """Bounds (3, 6) of the motions, their rates and their accelerations."""
+        fastest = 2.0 * np.pi * HIGHEST / self.period
+        return COMPONENTS * self.amplitudes * np.array([[1.0], [fastest], [fastest**2]])
+
+    @property
     def range(self) -> float:
         """Largest distance of the base from its mean position, m."""
-        return COMPONENTS * float(np.linalg.norm(self.amplitudes[:3]))
+        return float(np.linalg.norm(self.largest[0, :3]))
 
-    def make(self, batch: Batch) -> "DeckMotion":
+    def make(self, batch: Batch) -> "BaseMotion":
         """Return the motion of the bases of the arms of a batch."""
-        return DeckMotion(self, batch)
+        return BaseMotion(self, batch)
+
+    def draw(self, random: np.random.Generator) -> Array:
+        """Draw frequencies (rad/s) and phases (rad) of the sines of an episode, (6, COMPONENTS, 2)."""
+        ratio, share = _spectrum_shares()
+        places = (np.arange(COMPONENTS) + random.uniform(size=(6, COMPONENTS))) / COMPONENTS
+        frequencies = 2.0 * np.pi / self.period * np.interp(places, share, ratio)
+        return np.stack([frequencies, random.uniform(0.0, 2.0 * np.pi, (6, COMPONENTS))], axis=-1)
+
+    def motion(self, drawn: Array, times: Array) -> tuple[Array, Array, Array]:
+        """Return motions (r, 6), m and rad, rates and accelerations of sines (r, 6, COMPONENTS, 2) at times (r,), s."""
+        rate, size = drawn[..., 0], self.amplitudes[:, None]
+        angle = rate * times[:, None, None] + drawn[..., 1]
+        sine, cosine = size * np.sin(angle), size * np.cos(angle) * rate
+        return sine.sum(axis=2), cosine.sum(axis=2), -(sine * rate * rate).sum(axis=2)
 
 
 @cache
@@ -93,11 +116,17 @@ def _spectrum_shares() -> tuple[Array, Array]:
     return ratio, share / share[-1]
 
 
-class DeckMotion:
-    """Motion of the bases of b arms on a deck.
+class BaseMotion:
+    """Prescribed motion of the bases of b arms: surge, sway, heave, roll, pitch and yaw.
+
+    The attitude is yaw, then pitch, then roll; surge, sway and heave move the base along the axes of the world. In a
+    control period the angular velocity is a cubic polynomial, and the acceleration of the base is constant in the base
+    frame. The target of a task is given in the base frame at the start of an episode. It rests in the base frame or in
+    the world from then on; then the goal of the motor angles follows it, by the inverse kinematics of the undeformed
+    arm.
 
     Args:
-        sea: the motion.
+        settings: the motion, a `Sea` or a `base_record.Record`.
         batch: simulated arms, with rotating bases, whose foundation rows are set.
 
     Attributes:
@@ -105,43 +134,39 @@ class DeckMotion:
             middle.
     """
 
-    state_fields = ("_sea", "_targets", "_sag")
-    moves_goals = True
+    state_fields = ("_drawn", "_targets", "_sag")
 
-    def __init__(self, sea: Sea, batch: Batch) -> None:
-        self.settings, self._batch, arms = sea, batch, len(batch.rows)
+    def __init__(self, settings: Any, batch: Batch) -> None:
+        self.settings, self._batch, arms = settings, batch, len(batch.rows)
+        self.moves_goals = settings.target == "world"
         self._gravity = np.array(batch.model.constants.gravity)
-        self._sea = np.zeros((arms, 6, COMPONENTS, 2))  # frequencies, rad/s, and phases, rad
+        drawn = settings.draw(np.random.default_rng(0))
+        self._drawn = np.zeros((arms, *drawn.shape))  # parameters of the motions
         self._targets, self._sag, self.accelerations = np.zeros((arms, 3)), np.zeros((arms, 3)), np.zeros((arms, 3))
         self._series = np.zeros((4, FOUNDATION_PART))
 
     def draw(self, random: np.random.Generator) -> dict[str, Array]:
-        """Draw frequencies (rad/s) and phases (rad) of the sines of an episode, (6, COMPONENTS, 2)."""
-        ratio, share = _spectrum_shares()
-        places = (np.arange(COMPONENTS) + random.uniform(size=(6, COMPONENTS))) / COMPONENTS
-        frequencies = 2.0 * np.pi / self.settings.period * np.interp(places, share, ratio)
-        return {"sea": np.stack([frequencies, random.uniform(0.0, 2.0 * np.pi, (6, COMPONENTS))], axis=-1)}
+        """Draw the parameters of the motion of an episode, by name."""
+        return {self.settings.parameter: self.settings.draw(random)}
 
     def begin(self, arms: Any, parameters: Mapping[str, Array]) -> None:
         """Start episodes of the arms (r,) with parameters (r, ...) as drawn."""
-        self._sea[arms] = parameters["sea"]
+        self._drawn[arms] = parameters[self.settings.parameter]
         self._set(arms, np.zeros(len(arms)))
 
     def ends(self, parameters: Mapping[str, Array]) -> None:
-        """Return None: a deck has no goal."""
+        """Return None: a prescribed motion has no goal."""
 
-    def motion(self, sea: Array, times: Array) -> tuple[Array, Array, Array]:
-        """Return motions (r, 6), m and rad, their rates and accelerations for sines (r, 6, c, 2) at times (r,), s."""
-        rate, size = sea[..., 0], self.settings.amplitudes[:, None]
-        angle = rate * times[:, None, None] + sea[..., 1]
-        sine, cosine = size * np.sin(angle), size * np.cos(angle) * rate
-        return sine.sum(axis=2), cosine.sum(axis=2), -(sine * rate * rate).sum(axis=2)
+    def motion(self, arms: Any, times: Array) -> tuple[Array, Array, Array]:
+        """Return the motions (r, 6), m and rad, of arms, their rates and accelerations at times (r,), s."""
+        result: tuple[Array, Array, Array] = self.settings.motion(self._drawn[arms], times)
+        return result
 
     def _set(self, arms: Any, times: Array) -> None:
         """Set accelerations and foundation rows of arms for a control period from times (r,), s, on."""
-        period, sea = self._batch.control_period, self._sea[arms]
-        start, end = self.motion(sea, times), self.motion(sea, times + period)
-        middle, _, acceleration = self.motion(sea, times + 0.5 * period)
+        period = self._batch.control_period
+        start, end = self.motion(arms, times), self.motion(arms, times + period)
+        middle, _, acceleration = self.motion(arms, times + 0.5 * period)
         self.accelerations[arms] = _to_base(middle, acceleration[:, :3])
         spin, first, last = _body_rates(*start[:2]), _body_accelerations(*start), _body_accelerations(*end)
         mean = (_body_rates(*end[:2]) - spin) / period
@@ -161,14 +186,16 @@ class DeckMotion:
 
     def aim(self, view: View, arms: Any) -> None:
         """Store the targets of arms, which rest in the world from now on, the start of an episode."""
-        pose = self.motion(self._sea[arms], np.zeros(len(self._sea[arms])))[0]
+        pose = self.motion(arms, np.zeros(len(self._drawn[arms])))[0]
         self._targets[arms] = pose[:, :3] + np.einsum("rij,rj->ri", _attitudes(pose), view.target[arms])
         angles = view.goal_angles[arms]
         self._sag[arms] = view.rest_tips(angles) - view.rigid_tips(angles)
 
     def follow(self, view: View, arms: Any) -> None:
-        """Set targets and goals of the motor angles of arms, and their rates, in the present base frame."""
-        pose = self.motion(self._sea[arms], self._batch.time[arms])[0]
+        """Set the targets of arms that rest in the world, their goals of the motor angles, and the rates of both."""
+        if not self.moves_goals:
+            return
+        pose = self.motion(arms, self._batch.time[arms])[0]
         target, before = _to_base(pose, self._targets[arms] - pose[:, :3]), view.goal_angles[arms]
         pairs = zip(target - self._sag[arms], before, strict=True)
         angles = np.array([view.inverse_kinematics(tip[None], near)[0][0] for tip, near in pairs]).reshape(before.shape)
@@ -180,8 +207,8 @@ class DeckMotion:
         """Return the goals of the motor angles (r, T + 1, n), rad, over T control periods of r episodes."""
         times, result = view.control_period * np.arange(periods + 1.0), []
         name = "goal_angles" if "goal_angles" in parameters else "start"
-        for sea, angles in zip(parameters["sea"], parameters[name], strict=True):
-            pose = self.motion(np.broadcast_to(sea, (len(times), *sea.shape)), times)[0]
+        for drawn, angles in zip(parameters[self.settings.parameter], parameters[name], strict=True):
+            pose = self.settings.motion(np.broadcast_to(drawn, (len(times), *drawn.shape)), times)[0]
             rest, rigid = view.rest_tips(angles[None])[0], view.rigid_tips(angles[None])[0]
             world = pose[0, :3] + _attitudes(pose[:1])[0] @ rest
             tips = _to_base(pose, world - pose[:, :3]) - (rest - rigid)
@@ -190,18 +217,17 @@ class DeckMotion:
 
     def entries(self) -> list[Entry]:
         """Return the entries of `readings`."""
-        fastest = 2.0 * np.pi * HIGHEST / self.settings.period
-        lengths, angles = np.split(COMPONENTS * np.maximum(self.settings.amplitudes, 1e-6), 2)
+        pose, rate, acceleration = np.maximum(self.settings.largest, SMALLEST_BOUND)
         return [
-            Entry("deck_angles", 3, "rad", angles),
-            Entry("deck_rates", 3, "rad/s", np.full(3, np.abs(angles).sum() * fastest)),
-            Entry("deck_accelerations", 3, "m/s^2", lengths * fastest**2),
+            Entry("base_angles", 3, "rad", pose[3:]),
+            Entry("base_rates", 3, "rad/s", np.full(3, rate[3:].sum())),
+            Entry("base_accelerations", 3, "m/s^2", acceleration[:3]),
         ]
 
     @property
     def readings(self) -> Array:
         """Roll, pitch and yaw, rad, angular velocity, base frame, rad/s, and acceleration, world, m/s^2, (b, 9)."""
-        pose, rate, acceleration = self.motion(self._sea, self._batch.time)
+        pose, rate, acceleration = self.motion(slice(None), self._batch.time)
         return np.hstack([pose[:, 3:], _body_rates(pose, rate), acceleration[:, :3]])
 
 
