@@ -216,8 +216,8 @@ class EnvironmentSettings:
     foundation: Any = _setting(
         "Motion of the foundation. A mapping with 'travel' at 'kind', which the agent commands, and axis, speed (m/s), "
         "acceleration (m/s^2) and travel (m, the distance of the stops from the middle); with 'sea', a deck in a "
-        "seaway, and its period (s) and significant amplitudes: surge, sway, heave (m), roll, pitch, yaw (rad); or with "
-        "'record', and the path of a CSV file with such columns at 'file'. None for a fixed foundation.",
+        "seaway, and its period (s) and significant amplitudes: surge, sway, heave (m), roll, pitch, yaw (rad); or "
+        "with 'record', and the path of a CSV file with such columns at 'file'. None for a fixed foundation.",
         find_foundation, named=True, plain=plain_foundation,
     )
     clip_actions: bool = _setting(
