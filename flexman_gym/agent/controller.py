@@ -39,7 +39,7 @@ class Plant(NamedTuple):
         bandwidth: bandwidth of a first-order lag between commanded and applied torques, Hz; None for no lag.
         rate_limit: largest magnitude of a motor rate in the environment, rad/s.
         named_period: control period of the named environment whose arm this is, s; None for another arm.
-        foundation: `envs.foundation.Travel` of a foundation that the agent moves; None for a fixed one.
+        foundation: settings of a foundation that the agent commands; None for a fixed one.
         link_encoders: True for an environment whose instruments are encoders of the link side: output feedback reads
             them alone unless its sensors are named.
     """

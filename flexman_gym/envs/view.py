@@ -35,7 +35,7 @@ class View:
         n_joints: number of joints n.
         reach: sum of the lengths of the links, m.
         lengths: (n,) lengths of the links, m.
-        foundation: `envs.foundation.MovingFoundation` or `envs.base_motion.BaseMotion` of the arms; None if fixed.
+        foundation: moving foundations of the arms, see `envs.foundation`; None for fixed ones.
         gear_ratios: (n,) turns of the motor shaft per turn of the joint; 1 for a joint without a `Motor`.
         has_gravity: True for an arm under gravity.
         gauge_radii: (n, 3) distances of the gauges of `root_strains` from the axis of the link, m.

@@ -1,5 +1,6 @@
 """Scene: arm, model choice, torques, initial state and duration of a simulation, stored in a JSON or YAML file."""
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property, partial
@@ -24,7 +25,6 @@ from flexman_gym.common.errors import short_path, value_error
 from flexman_gym.common.files import read_data, write_csv, write_data
 from flexman_gym.common.formatting import text_fields
 from flexman_gym.scene.arm import Arm
-from flexman_gym.scene.foundation import UPRIGHT, FoundationRotation, check_attitude
 from flexman_gym.scene.input_checks import check_keywords
 from flexman_gym.scene.scene_files import COLUMN_UNITS, signal_from_plain, split_samples, torque_from_plain
 from flexman_gym.scene.serialization import find_arm, from_plain, to_plain
@@ -121,6 +121,7 @@ def _modes(name: str, value: object, most: int) -> int | tuple[int, ...]:
 
 
 MAX_OUTPUT_STEPS = 10_000_000
+ATTITUDE_TOLERANCE = 1e-6  # largest difference between 1 and the norm of a quaternion
 
 
 @dataclass(frozen=True)
@@ -223,7 +224,7 @@ class Scene:
             ),
         )
         if self.base_attitude is not None:
-            set_fields(self, base_attitude=check_attitude("Scene.base_attitude", self.base_attitude))
+            set_fields(self, base_attitude=_check_attitude("Scene.base_attitude", self.base_attitude))
         if self.base_angular_velocity is not None:
             rate = vector("Scene.base_angular_velocity", self.base_angular_velocity, 3, "rad/s")
             set_fields(self, base_angular_velocity=rate)
@@ -309,21 +310,18 @@ class Scene:
         """True if the base rotates or is tilted."""
         return any((self.base_angular_acceleration, self.base_attitude, self.base_angular_velocity))
 
-    @cached_property
-    def rotation(self) -> FoundationRotation:
-        """Rotation of the base."""
-        accelerations = self.base_angular_acceleration or [Signal()] * 3
-        attitude, rate = self.base_attitude or UPRIGHT, self.base_angular_velocity or (0.0, 0.0, 0.0)
-        return FoundationRotation(accelerations, attitude, rate, self.arm.gravity, self.duration, self.output_step)
-
-    @cached_property
-    def pieces(self) -> PiecewiseSignals:
-        """Signals of n motors, 3 components of the tip force and 3 of the base acceleration, for the kernels."""
+    @property
+    def signals(self) -> list[Signal | SampledSignal | None]:
+        """Signals (n + 6) of n motors, 3 components of the tip force and 3 of the base acceleration; None for zero."""
         motions, none = self.prescribed or [None] * self.arm.n_joints, [None] * 3
         accelerations = [motion.acceleration if isinstance(motion, SampledAngles) else motion for motion in motions]
         motors = [motion or torque for motion, torque in zip(accelerations, self.torque.signals(), strict=True)]
-        signals = [*motors, *(self.tip_force or none), *(self.base_acceleration or none)]
-        return PiecewiseSignals(signals, self.duration, self.rotation if self.rotates else None)
+        return [*motors, *(self.tip_force or none), *(self.base_acceleration or none)]
+
+    @cached_property
+    def pieces(self) -> PiecewiseSignals:
+        """The signals for the kernels, without the rotation of the base."""
+        return PiecewiseSignals(self.signals, self.duration)
 
     @property
     def output_times(self) -> NDArray[np.float64]:
@@ -401,6 +399,19 @@ class Scene:
         if self.arm.payload is None:
             data["arm"]["payload"] = {"mass": 0.0}
         return {"note": self.note} | data
+
+
+def _check_attitude(name: str, value: object) -> tuple[float, ...]:
+    """Return a unit quaternion (scalar first) with its rounding errors removed.
+
+    Raises:
+        ValueError: for other than four numbers, or a norm that is not 1.
+    """
+    numbers = vector(name, value, 4)
+    norm = math.hypot(*numbers)
+    if abs(norm - 1.0) > ATTITUDE_TOLERANCE:
+        raise value_error(name, tuple(numbers), "a unit quaternion (w, x, y, z), scalar first, norm 1")
+    return tuple(each / norm for each in numbers)
 
 
 def _check_signals(name: str, value: object, units: str) -> tuple[Signal | SampledSignal, ...] | None:

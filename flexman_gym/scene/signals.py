@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Self
+from typing import Any, ClassVar, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,9 +24,6 @@ from flexman_gym.common.checks import (
 )
 from flexman_gym.common.errors import value_error
 from flexman_gym.common.files import write_csv
-
-if TYPE_CHECKING:
-    from flexman_gym.scene.foundation import FoundationRotation
 
 HOLDS = ("zero", "linear")
 MIN_SPLINE_SAMPLES = 4
@@ -395,6 +392,16 @@ def signal_table(signals: Sequence[Signal | None]) -> NDArray[np.float64]:
     return np.column_stack([(signal or _NO_SIGNAL).column() for signal in signals])
 
 
+class BaseRotation(Protocol):
+    """Protocol of the rotation of a base, see `simulation.foundation`; `times` (p + 1,), s, bound its intervals."""
+
+    times: Array
+
+    def columns(self, time: float) -> Array:
+        """Return the last columns of the drive table at a time (s)."""
+        ...
+
+
 class PiecewiseSignals:
     """Signals of a scene, with one signal table for each interval between neighbouring samples.
 
@@ -411,7 +418,7 @@ class PiecewiseSignals:
         self,
         signals: Sequence[Signal | SampledSignal | None],
         duration: float,
-        rotation: "FoundationRotation | None" = None,
+        rotation: "BaseRotation | None" = None,
     ) -> None:
         self._rotation = rotation
         sampled = {i: signal for i, signal in enumerate(signals) if isinstance(signal, SampledSignal)}

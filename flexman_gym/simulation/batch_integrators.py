@@ -29,8 +29,8 @@ from flexman_gym.kernels.arguments import (
 from flexman_gym.kernels.lanes import NUMBER
 from flexman_gym.kernels.layout import ARMS_PER_GROUP, Constants, IntArray, Period, StepGrid, make_work
 from flexman_gym.kernels.outputs import tip_accelerations
-from flexman_gym.scene.foundation import foundation_motion
 from flexman_gym.scene.signals import signal_table
+from flexman_gym.simulation.foundation import foundation_motion
 from flexman_gym.simulation.integrator import LANE_COST_RATIO, Integrator, evaluations_per_call, step_ranges
 from flexman_gym.simulation.methods import FixedStepMethod
 from flexman_gym.simulation.worker_thread import WorkerThread

@@ -36,6 +36,7 @@ from flexman_gym.scene.signals import PiecewiseSignals
 from flexman_gym.simulation.batch import MAX_ARMS, MAX_THREADS
 from flexman_gym.simulation.batch_integrators import LaneIntegrator
 from flexman_gym.simulation.diagnostics import explain_energy, explain_failure
+from flexman_gym.simulation.foundation import base_rotation, scene_pieces
 from flexman_gym.simulation.integrator import MAX_STEPS, Integrator, find_method, find_tolerance, with_prescribed
 from flexman_gym.simulation.methods import DEFAULT_METHOD, Method, ScipyMethod
 from flexman_gym.simulation.physical_parameters import varied_constants
@@ -229,7 +230,7 @@ class _SceneRun(NamedTuple):
 
     def simulate(self) -> Trajectory:
         """Simulate the scene."""
-        (model, _, _, interval, substeps, rows), pieces = self.settings, self.scene.pieces
+        (model, _, _, interval, substeps, rows), pieces = self.settings, scene_pieces(self.scene)
         integrator, state = self.integrator(), initial_row(self.scene, model)
         states, outputs = np.zeros((rows + 1, len(state))), np.zeros((rows + 1, layout.OUTPUTS))
         integrator.start(state, states[0], outputs[0], pieces.table() if self.scene.rotates else None)
@@ -260,7 +261,7 @@ class _SceneRun(NamedTuple):
         if result.status != STATUS[layout.OK]:
             last = np.append(result.states[-1], [result.work[-1], result.dissipation[-1]])
             row, rows, outputs = len(result.time) - 1, np.zeros((1, len(last))), np.zeros((1, layout.OUTPUTS))
-            again = _run_pieces(integrator, self.scene.pieces, (interval, substeps), last, rows, outputs, row)
+            again = _run_pieces(integrator, scene_pieces(self.scene), (interval, substeps), last, rows, outputs, row)
             return explain_failure(self.integrator(), model, *again[3], result.status)
         alarm = result.energy_alarm()
         before = result.states[result.time <= (alarm or 0.0)]
@@ -268,7 +269,7 @@ class _SceneRun(NamedTuple):
 
     def kinetics(self, result: Trajectory) -> FrameMotion:
         """Return the motion of the frames in a trajectory of the scene; at a jump of the inputs, after the jump."""
-        integrator, size, pieces = self.integrator(), result.states.shape[1], self.scene.pieces
+        integrator, size, pieces = self.integrator(), result.states.shape[1], scene_pieces(self.scene)
         rates, accelerations, drives = np.zeros(size + 2), [], []
         for time, state in zip(result.time, result.states, strict=True):
             piece = min(int(np.searchsorted(pieces.times, time, side="right")), len(pieces.times) - 1) - 1
@@ -341,7 +342,7 @@ def simulate_all(
     varied = varied_constants(settings.model, len(scenes), parameters)
     lanes = settings.method.in_lanes and settings.tolerance is None
     lanes = lanes and len(scenes) > 1
-    drives = [scene.pieces for scene in scenes] if lanes else []
+    drives = [scene_pieces(scene) for scene in scenes] if lanes else []
     if not lanes or not all(np.array_equal(each.times, drives[0].times) for each in drives):
         return [_SceneRun(scene, settings, _constants_of(varied, i)).simulate() for i, scene in enumerate(scenes)]
     return _simulate_in_lanes(scenes, settings, varied, drives, threads)
@@ -430,13 +431,13 @@ def tip_accelerations(scene: Scene, runs: Sequence[Trajectory], model: Model, pa
     """
     own, size = varied_constants(model, len(runs), parameters), round(scene.duration / scene.output_step) + 1
     shared = with_prescribed(model.constants, scene.prescribed_joints, scene.rotates)
-    pieces, d = scene.pieces, model.n_dof
+    pieces, d = scene_pieces(scene), model.n_dof
     times = scene.output_step * np.arange(size)
     drives = np.array([pieces.table(p) for p in range(len(pieces.times) - 1)])
     before = np.clip(np.searchsorted(pieces.times, times - 1e-9 * times[-1]) - 1, 0, len(drives) - 1)
     applied = drives[before, layout.OFFSET] + drives[before, layout.SLOPE] * times[:, None]
     if scene.rotates:
-        applied = np.hstack([applied[:, : model.n_joints + 6], scene.rotation.motion(times)])
+        applied = np.hstack([applied[:, : model.n_joints + 6], base_rotation(scene).motion(times)])
     result = np.full((len(runs), size, layout.TIP_ACCELERATIONS), np.nan)
     work = layout.make_work(shared)
     for i, run in enumerate(runs):

@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 
 import flexman_gym as fm
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.envs.foundation import MovingFoundation, Travel, find_foundation, plain_foundation
+from flexman_gym.envs.foundation import find_foundation, plain_foundation
+from flexman_gym.toolbox.foundations.travel import MovingFoundation, Travel
 
 from oracles.assertions import refusal
 

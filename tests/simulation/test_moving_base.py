@@ -12,7 +12,7 @@ import flexman_gym as fm
 from flexman_gym.kernels import layout
 from flexman_gym.kernels.outputs import compute_outputs
 from flexman_gym.kernels.outputs import tip_accelerations as kernel_accelerations
-from flexman_gym.scene.foundation import FoundationRotation, rotation_matrix
+from flexman_gym.simulation.foundation import FoundationRotation, base_rotation, rotation_matrix
 from flexman_gym.simulation.scene_simulation import tip_accelerations
 
 from oracles.assertions import refusal
@@ -107,7 +107,7 @@ def test_a_hanging_load_on_a_rotating_base_moves_as_in_the_independent_lagrangia
     tips = np.array([chain.tip(state[:d]) for state in exact[0]])  # in the base frame
     np.testing.assert_allclose(run.tip, tips, atol=1e-8)
     assert np.ptp(run.tip, axis=0).max() > 0.5
-    attitudes, rates = scene.rotation.at(scene.output_times)
+    attitudes, rates = base_rotation(scene).at(scene.output_times)
     np.testing.assert_allclose(attitudes, exact[1], atol=1e-10)
     np.testing.assert_allclose(rates, [rate_of(SEA, TURN, time) for time in scene.output_times], atol=1e-12)
 
@@ -135,7 +135,7 @@ def test_accelerometer_on_a_rotating_base_measures_the_force_of_the_independent_
     run = fm.simulate(scene, model, step=0.005)
     measured = tip_accelerations(scene, [run], model, {})[0]
     for i, time in enumerate(scene.output_times.tolist()):
-        (x, v), quat = np.split(run.states[i], [d]), scene.rotation.at(np.array([time]))[0][0]
+        (x, v), quat = np.split(run.states[i], [d]), base_rotation(scene).at(np.array([time]))[0][0]
         base = base_at(quat, time)
         applied = np.array([230.0, 0.0, 0.0]), np.array([4.0, -3.0, 2.0]), np.array(shake), base
         acceleration = chain.acceleration(x, v, *applied)
@@ -221,7 +221,7 @@ def test_a_base_that_turns_as_the_first_joint_equals_this_joint():
                     base_angular_acceleration=(QUIET, QUIET, spin), **common)  # fmt: skip
     one, other = (fm.simulate(each, method="dop853", rtol=1e-10, atol=1e-12) for each in (joint, base))
     np.testing.assert_allclose(one.joint_angles[:, 1:], other.joint_angles[:, 1:], atol=1e-9)
-    attitudes, rates = base.rotation.at(base.output_times)
+    attitudes, rates = base_rotation(base).at(base.output_times)
     rotor = arm.joints[0].rotor_inertia * rates[:, 2] ** 2 / 2.0  # energy of the rotor, which rests on the base
     np.testing.assert_allclose(one.work, other.work + rotor, atol=1e-6)
     world = np.einsum("tij,tj->ti", rotation_matrix(attitudes), other.tip)

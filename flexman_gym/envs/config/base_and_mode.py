@@ -5,7 +5,6 @@ import warnings
 from flexman_gym.agent.action_modes import ActionMode, make_action_mode
 from flexman_gym.agent.base_controllers import make_base
 from flexman_gym.agent.controller import Controller
-from flexman_gym.agent.foundation_mode import FoundationMode
 from flexman_gym.agent.pd import PD
 from flexman_gym.common.errors import warn_caller
 from flexman_gym.common.registry import load_entry
@@ -27,9 +26,8 @@ def make_base_and_mode(configuration: Configuration, model: Model) -> tuple[Cont
         if isinstance(base, PD) and (text := base.unstable(model, plant.period, configuration.max_delay)):
             warnings.warn(text, stacklevel=2)
     mode = make_action_mode(configuration.actions, plant, base)
-    travel = configuration.foundation
-    if travel is not None and travel.names:
-        mode = FoundationMode(mode, base, travel.names, travel.speed, travel.acceleration)
+    if configuration.foundation is not None:
+        mode = configuration.foundation.make_mode(mode, base)
     return base, mode
 
 

@@ -28,6 +28,7 @@ from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.input_checks import replace_quietly
 from flexman_gym.scene.link import OTHER_AXIS, Link
 from flexman_gym.scene.scene import Scene
+from flexman_gym.simulation.foundation import scene_pieces
 from flexman_gym.simulation.integrator import default_step, with_prescribed
 from flexman_gym.simulation.methods import METHODS, FixedStepMethod, Method
 from flexman_gym.simulation.period_map import DIRECTIONS, TangentIntegrator
@@ -146,7 +147,7 @@ class _Motion(NamedTuple):
     @classmethod
     def start(cls, scene: Scene, model: Model, directions: list[ScalarParameter], last: int) -> "_Motion":
         """Return the motion before the simulation of `last` output intervals."""
-        pieces, lanes = scene.pieces, TangentIntegrator.derivative_rows(len(directions))
+        pieces, lanes = scene_pieces(scene), TangentIntegrator.derivative_rows(len(directions))
         starts, inputs = unit_changes(directions, model)
         groups = -(-len(directions) // DIRECTIONS)
         rows = np.zeros((groups * ARMS_PER_GROUP, last + 1, 2 * model.n_dof + 2))

@@ -111,7 +111,7 @@ class InputShapedController:
         return self.inner.act(shaped, applied, active)
 
     def shape_travel(self, foundation: Any) -> Self:
-        """Shape the motion of a foundation, `envs.foundation.Travel`, too; None for a fixed one. Returns itself."""
+        """Shape the motion of a foundation, `foundations.travel.Travel`, too; None for a fixed one. Returns itself."""
         self._travel = None if foundation is None else ShapedTravel(foundation, self._travel_shaper)
         return self
 

@@ -20,7 +20,7 @@ class ShapedTravel:
     The profile is a trapezoid of the velocity, or a triangle for a short way.
 
     Args:
-        foundation: `envs.foundation.Travel`, the axis and its limits.
+        foundation: `foundations.travel.Travel`, the axis and its limits.
         shaper: function of a posture (n,), rad, and the axis (3,) that returns the shaper.
     """
 
@@ -58,7 +58,7 @@ def velocity_profile(distance: float, foundation: Any, period: float) -> Array:
 
     Args:
         distance: signed distance, m.
-        foundation: `envs.foundation.Travel`.
+        foundation: `foundations.travel.Travel`.
         period: control period, s.
     """
     size, steep = abs(distance), ACCELERATION_SHARE * foundation.acceleration

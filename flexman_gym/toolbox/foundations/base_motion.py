@@ -8,6 +8,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from flexman_gym.agent.action_modes import ActionMode
+from flexman_gym.agent.controller import Controller
 from flexman_gym.common.arrays import Array, BoolArray
 from flexman_gym.common.checks import non_negative, one_of, positive, set_fields
 from flexman_gym.common.errors import value_error
@@ -15,8 +17,8 @@ from flexman_gym.envs.sensors.sensor import Entry
 from flexman_gym.envs.view import View
 from flexman_gym.kernels.foundation import turn_foundation
 from flexman_gym.kernels.layout import FOUNDATION, FOUNDATION_DEGREE, FOUNDATION_PART
-from flexman_gym.scene.foundation import rotation_matrix
 from flexman_gym.simulation.batch import Batch
+from flexman_gym.simulation.foundation import rotation_matrix
 
 COMPONENTS = 12  # sines of each motion
 LOWEST, HIGHEST = 0.6, 2.5  # frequencies of the sines / peak frequency
@@ -41,6 +43,7 @@ class Sea:
         target: frame in which the target of a task rests, "world" or "base".
     """
 
+    kind: ClassVar[str] = "sea"
     parameter: ClassVar[str] = "sea"
     roll: float = 0.06
     pitch: float = 0.03
@@ -85,6 +88,10 @@ class Sea:
     def range(self) -> float:
         """Largest distance of the base from its mean position, m."""
         return float(np.linalg.norm(self.largest[0, :3]))
+
+    def make_mode(self, mode: ActionMode, base: Controller | None) -> ActionMode:
+        """Return the action mode itself."""
+        return mode
 
     def make(self, batch: Batch) -> "BaseMotion":
         """Return the motion of the bases of the arms of a batch."""

@@ -8,29 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexman_gym.common.arrays import Array, Vector
-from flexman_gym.common.checks import vector
-from flexman_gym.common.errors import value_error
 from flexman_gym.kernels.foundation import turn_foundation
 from flexman_gym.kernels.layout import FOUNDATION, FOUNDATION_DEGREE, FOUNDATION_PART
-from flexman_gym.scene.signals import SampledSignal, Signal
+from flexman_gym.scene.scene import Scene
+from flexman_gym.scene.signals import PiecewiseSignals, SampledSignal, Signal
 
 UPRIGHT = (1.0, 0.0, 0.0, 0.0)  # attitude of a base whose frame is the world frame
 # Largest turn (rad) of base and signals in an interval: the terms that the polynomials leave out are below 1e-13.
 LARGEST_TURN = 0.5
-ATTITUDE_TOLERANCE = 1e-6  # largest difference between 1 and the norm of a quaternion
-
-
-def check_attitude(name: str, value: object) -> tuple[float, ...]:
-    """Return a unit quaternion (scalar first) with its rounding errors removed.
-
-    Raises:
-        ValueError: for other than four numbers, or a norm that is not 1.
-    """
-    numbers = vector(name, value, 4)
-    norm = math.hypot(*numbers)
-    if abs(norm - 1.0) > ATTITUDE_TOLERANCE:
-        raise value_error(name, tuple(numbers), "a unit quaternion (w, x, y, z), scalar first, norm 1")
-    return tuple(each / norm for each in numbers)
 
 
 def rotation_matrix(attitude: Sequence[float] | Array) -> Array:
@@ -166,3 +151,23 @@ def _taylor(signal: Signal | SampledSignal, start: float, middle: float) -> Arra
             factor *= turn / (k + 1.0)
         result[0] += signal.offset
     return result
+
+
+def base_rotation(scene: Scene) -> FoundationRotation:
+    """Return the rotation of the base of a scene.
+
+    Examples:
+        >>> from dataclasses import replace
+        >>> turning = replace(fm.catalog.paper_scene("rr"), base_angular_velocity=(0.0, 0.0, 1.0))
+        >>> attitudes, rates = base_rotation(turning).at(turning.output_times)
+        >>> attitudes[-1].round(3).tolist()  # after 2 s
+        [0.54, 0.0, 0.0, 0.841]
+    """
+    accelerations = scene.base_angular_acceleration or [Signal()] * 3
+    attitude, rate = scene.base_attitude or UPRIGHT, scene.base_angular_velocity or (0.0, 0.0, 0.0)
+    return FoundationRotation(accelerations, attitude, rate, scene.arm.gravity, scene.duration, scene.output_step)
+
+
+def scene_pieces(scene: Scene) -> PiecewiseSignals:
+    """Return the inputs of a scene, with the rotation of its base."""
+    return PiecewiseSignals(scene.signals, scene.duration, base_rotation(scene)) if scene.rotates else scene.pieces

@@ -6,10 +6,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import flexman_gym as fm
-from flexman_gym.envs.base_motion import COMPONENTS, Sea
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.foundation import plain_foundation
-from flexman_gym.scene.foundation import foundation_motion, rotation_matrix
+from flexman_gym.simulation.foundation import base_rotation, foundation_motion, rotation_matrix
+from flexman_gym.toolbox.foundations.base_motion import COMPONENTS, Sea
 
 from oracles.assertions import refusal
 
@@ -121,7 +121,7 @@ def test_arm_on_a_deck_moves_as_a_scene_on_a_rotating_base(env):
     )  # fmt: skip
     run = fm.simulate(scene, model, method=configuration.method, step=configuration.integration_step / 2.0)
     np.testing.assert_allclose(tips, run.tip[1:], atol=2e-4)
-    turned = rotation_matrix(scene.rotation.at(times[-1:])[0])[0]
+    turned = rotation_matrix(base_rotation(scene).at(times[-1:])[0])[0]
     pose = poses(episodes.foundation, times[-1:])[0]
     expected = Rotation.from_euler("ZYX", pose[:, [5, 4, 3]]).as_matrix()[0]
     np.testing.assert_allclose(turned, expected, atol=1e-6)  # accelerations are linear between the periods

@@ -6,11 +6,13 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from flexman_gym.agent.action_modes import ActionMode
+from flexman_gym.agent.controller import Controller
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import one_of, set_fields, text
 from flexman_gym.common.errors import value_error
-from flexman_gym.envs.base_motion import ANGLES, FRAMES, LENGTHS, BaseMotion
 from flexman_gym.simulation.batch import Batch
+from flexman_gym.toolbox.foundations.base_motion import ANGLES, FRAMES, LENGTHS, BaseMotion
 
 
 @dataclass(frozen=True)
@@ -27,6 +29,7 @@ class Record:
         target: frame in which the target of a task rests, "world" or "base".
     """
 
+    kind: ClassVar[str] = "record"
     parameter: ClassVar[str] = "record_start"
     file: str
     start: float = 0.0
@@ -60,6 +63,10 @@ class Record:
     def range(self) -> float:
         """Largest distance of the base from its origin, m."""
         return float(np.linalg.norm(self.largest[0, :3]))
+
+    def make_mode(self, mode: ActionMode, base: Controller | None) -> ActionMode:
+        """Return the action mode itself."""
+        return mode
 
     def make(self, batch: Batch) -> BaseMotion:
         """Return the motion of the bases of the arms of a batch."""
