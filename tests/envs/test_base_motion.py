@@ -75,6 +75,16 @@ def test_attitude_is_yaw_then_pitch_then_roll_and_its_rate_the_angular_velocity(
         np.testing.assert_allclose(motion[6:], (ahead[3:6] - motion[3:6]) / h, atol=1e-5)
 
 
+def test_base_acceleration_of_a_period_is_that_in_its_middle_in_the_base_frame(env):
+    env.reset(seed=4)
+    deck, period = env.episodes.foundation, env.configuration.control_period
+    for time in (0.0, 2.0, 5.0):
+        deck._set(np.array([0]), np.array([time]))
+        pose, _, acceleration = poses(deck, np.array([time + period / 2.0]))
+        attitude = Rotation.from_euler("ZYX", pose[:, [5, 4, 3]]).as_matrix()[0]
+        np.testing.assert_allclose(deck.accelerations[0], attitude.T @ acceleration[0, :3], atol=1e-12)
+
+
 def test_target_rests_in_the_world_and_goals_of_the_motors_reach_it(env):
     env.reset(seed=7)
     episodes = env.episodes

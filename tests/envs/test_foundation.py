@@ -76,6 +76,18 @@ def test_servo_reaches_a_commanded_velocity_at_the_end_of_a_period_half_a_period
     assert foundation.position[0, 0] == pytest.approx(0.5 * (1.0 - 0.005))
 
 
+def test_base_accelerates_as_its_velocity_rises_and_the_load_lags_behind():
+    env = gym.make(ID).unwrapped
+    env.reset(seed=3, options={"travel_start": [-1.0], "travel_goal": [1.0]})
+    foundation, start = env.episodes.foundation, env.episodes.view.tip[0, 0]
+    for _ in range(20):
+        before = foundation.velocity[0, 0]
+        env.step(np.ones(1, dtype=np.float32))
+        rate = (foundation.velocity[0, 0] - before) / 0.02
+        np.testing.assert_allclose(foundation.accelerations[0], [rate, 0.0, 0.0], atol=1e-12)
+    assert rate == pytest.approx(0.3) and env.episodes.view.tip[0, 0] < start - 1e-3
+
+
 def test_arm_on_a_foundation_moves_as_a_scene_with_its_acceleration():
     """The accelerations of the servo as the acceleration of the base, on the same model and from the same state."""
     env = gym.make(ID, control_period=0.02).unwrapped
