@@ -33,7 +33,8 @@ def _no_kinetics(result: "Trajectory") -> FrameMotion:
 class Trajectory:
     """Solution of a scene at T output times; after a failure only at those before the failure.
 
-    All quantities are in SI units and radians. Velocities and energies are relative to the base.
+    All quantities are in SI units and radians. Positions and velocities are relative to the base, along the axes of the
+    base frame, which may rotate. Energies are those in a frame with the origin of the base and the axes of the world.
 
     Attributes:
         time: (T,) s.
@@ -44,7 +45,7 @@ class Trajectory:
         energy: (T,) kinetic + elastic (links and joints) + gravitational energy, J; gravitational energy is zero at the
             base origin.
         moving_energy: (T,) kinetic + elastic energy, J.
-        work: (T,) work of motors, tip force and base acceleration since the start, J.
+        work: (T,) work of motors, tip force, and acceleration and rotation of the base since the start, J.
         dissipation: (T,) energy dissipated by dampers and friction since the start, J.
         states: (T, 2 d) coordinates and speeds, in the order of `kernels.layout`.
         deflection: (T, 3) tip position relative to the tip of the rigid arm at the motor angles, m.
