@@ -28,7 +28,7 @@ def make_base_and_mode(configuration: Configuration, model: Model) -> tuple[Cont
             warnings.warn(text, stacklevel=2)
     mode = make_action_mode(configuration.actions, plant, base)
     travel = configuration.foundation
-    if travel is not None:
+    if travel is not None and not hasattr(mode, "commands"):  # a designed mode commands the foundation already
         mode = FoundationMode(mode, base, travel.names, travel.speed, travel.acceleration)
     return base, mode
 
