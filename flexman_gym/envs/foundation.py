@@ -62,8 +62,10 @@ def find_foundation(value: object) -> Any:
     return kind(**mapping("foundation", given, [each.name for each in fields(kind)]))
 
 
-def plain_foundation(value: Any) -> dict[str, Any]:
-    """Return a foundation as JSON-compatible data, from which `find_foundation` makes an equal one."""
+def plain_foundation(value: Any) -> dict[str, Any] | None:
+    """Return a foundation, or None, as JSON-compatible data, from which `find_foundation` makes an equal one."""
+    if value is None:
+        return None
     return {"kind": next(name for name, kind in KINDS.items() if type(value) is kind), **asdict(value)}
 
 

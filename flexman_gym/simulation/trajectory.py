@@ -33,7 +33,8 @@ def _no_kinetics(result: "Trajectory") -> FrameMotion:
 class Trajectory:
     """Solution of a scene at T output times; after a failure only at those before the failure.
 
-    All quantities are in SI units and radians. Velocities and energies are relative to the base.
+    All quantities are in SI units and radians. Velocities and energies are relative to the base; on a base that turns,
+    energies are those in axes with the directions of the world and the origin of the base.
 
     Attributes:
         time: (T,) s.
@@ -44,7 +45,7 @@ class Trajectory:
         energy: (T,) kinetic + elastic (links and joints) + gravitational energy, J; gravitational energy is zero at the
             base origin.
         moving_energy: (T,) kinetic + elastic energy, J.
-        work: (T,) work of motors, tip force and base acceleration since the start, J.
+        work: (T,) work of motors, tip force and foundation since the start, J.
         dissipation: (T,) energy dissipated by dampers and friction since the start, J.
         states: (T, 2 d) coordinates and speeds, in the order of `kernels.layout`.
         deflection: (T, 3) tip position relative to the tip of the rigid arm at the motor angles, m.
