@@ -182,8 +182,8 @@ def _travel(name: str) -> list[str]:
         'With `base="pd"` an action is added to the velocity from which half of the largest acceleration stops',
         'the portal at its goal, with `base="pd-shaped"` to a trapezoid of the velocity, convolved with an input',
         "shaper for the swing. Start and goal of the travel are drawn between the ends, or given by the options",
-        "`travel_start` and `travel_goal` of the reset, m. The picture shows the portal where it is; the replay page and the live view show",
-        "the arm in the frame of the portal, in which the target moves.",
+        "`travel_start` and `travel_goal` of the reset, m. The picture shows the portal where it is; the replay page",
+        "and the live view show the arm in the frame of the portal, in which the target moves.",
     )
     heads = ("entry", "meaning", "range", f"limit in {_short([name])}")
     return [*markdown_table(heads, rows), "", *text, "", *more]
@@ -305,8 +305,11 @@ def _under_conditions(name: str, baselines: Sequence[Baseline]) -> list[str]:
     cells = [(each, *(found.get((each, condition), "-") for condition in conditions)) for each in names]
     if not rows:
         return []
-    text = f"Settled episodes and median settling time under conditions, {episodes_text(rows)}:"
-    return [text, "", *markdown_table(("baseline", *(f"`{each}`" for each in conditions)), cells), ""]
+    text = paragraph(
+        f"Settled episodes and median settling time under conditions, {episodes_text(rows)}; one column by",
+        f"`flexman league --agents pd pd-shaped --scenarios {name}/{conditions[0]}`:",
+    )
+    return [*text, "", *markdown_table(("baseline", *(f"`{each}`" for each in conditions)), cells), ""]
 
 
 def _model_error(row: ModelError) -> list[str]:
