@@ -142,6 +142,8 @@ class DAgger:
         self._optimizer = torch.optim.Adam(self._layers.parameters(), fused=True)
         average = get_ema_multi_avg_fn(EMA_DECAY)  # type: ignore[no-untyped-call]
         self._averaged = AveragedModel(self._layers, multi_avg_fn=average)
+        if environment.foundation is not None:
+            raise value_error("foundation", "travel", "None: the torques of the teacher are imitated, not its travel")
         model = resolve_fidelity(environment).model
         mode = make_base_and_mode(environment, model)[1]
         strength = _strength(mode)  # checked before the teacher, whose design may take long

@@ -16,6 +16,7 @@ from flexman_gym.common.registry import Registry
 MAX_OBSERVATION = 100.0  # bound on the magnitude of observed quantities
 OPTIONAL_MEMBERS = (
     "state_fields", "strength", "observation_sizes", "observe", "derivatives", "gain_units", "prepare", "skip", "info",
+    "commands",
 )  # fmt: skip
 """Members that an action mode may omit."""
 
@@ -32,8 +33,8 @@ class ActionMode(Protocol):
     before the agent acts, in the same control period. `derivatives(actions, readings, changes)` and `gain_units` are
     those of `Controller`, with the actions (1, k), and their derivatives (p, k) in `changes["actions"]`; the result is
     the derivatives (p, n) only. `prepare(applied, active)` and `skip(active)` are those of `Controller`. `info()`
-    returns name -> (b, ...), which environments add to their info. A mode that changes or measures the torques of
-    another one extends `ModeWrapper`.
+    returns name -> (b, ...), which environments add to their info. `commands` (b, m) are those of a foundation, see
+    `FoundationMode`. A mode that changes or measures the torques of another one extends `ModeWrapper`.
 
     Attributes:
         joints: n, number of joints.

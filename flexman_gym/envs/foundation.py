@@ -68,6 +68,6 @@ def find_foundation(value: object) -> Any:
     return kind(**mapping("foundation", given, [each.name for each in fields(kind)]))
 
 
-def plain_foundation(value: Any) -> dict[str, Any]:
-    """Return a foundation as JSON-compatible data, from which `find_foundation` makes an equal one."""
-    return {"kind": value.kind, **asdict(value)}
+def plain_foundation(value: Any) -> dict[str, Any] | None:
+    """Return a foundation, or None, as JSON-compatible data, from which `find_foundation` makes an equal one."""
+    return None if value is None else {"kind": value.kind, **asdict(value)}

@@ -111,6 +111,7 @@ class Rollout:
         metadata: common metadata of the episodes, their "seeds", and the "slices" of the readings by entry.
         excess: (b, T) largest excess beyond the limits, see `EpisodeRecord`.
         changes: (b, T, n) changes of the actions by the safety filter, see `EpisodeRecord`.
+        bases: (b, T + 1, 3) positions of bases that move, world frame, m; None for fixed bases.
     """
 
     tips: Array
@@ -128,6 +129,7 @@ class Rollout:
     metadata: dict[str, Any]
     excess: Array | None = None
     changes: Array | None = None
+    bases: Array | None = None
 
     def episode(self, number: int) -> Episode:
         """Return the episode with an index from 0 to b - 1, up to its end."""
@@ -140,7 +142,8 @@ class Rollout:
             metadata["violations"] = _violations(self.excess[number, :end], self.period)
         slices = {name: slice(*ends) for name, ends in self.metadata["slices"].items()}
         readings = {name: self.readings[number, : end + 1, columns] for name, columns in slices.items()}
-        return Episode(self.period * np.arange(end + 1.0), **arrays, readings=readings, about=metadata)
+        bases = None if self.bases is None else self.bases[number, : end + 1]
+        return Episode(self.period * np.arange(end + 1.0), **arrays, readings=readings, bases=bases, about=metadata)
 
     @property
     def file_name(self) -> str:
@@ -355,7 +358,7 @@ class _Recorder:
     def __init__(self, episodes: Episodes, callback: Callable[[Episodes], None] | None) -> None:
         self._episodes, self._callback = episodes, callback
         names = (*INSTANT_ARRAYS, *PERIOD_ARRAYS, *["excess"] * episodes.limits.recorded)
-        names += ("changes",) * (episodes.safety is not None)
+        names += ("changes",) * (episodes.safety is not None) + ("bases",) * (episodes.foundation is not None)
         self._rows: dict[str, list[Array]] = {name: [] for name in names}
         self.ends = np.zeros(len(episodes.over), dtype=np.int64)
         self._failures = [""] * len(self.ends)
@@ -379,8 +382,10 @@ class _Recorder:
     def _instant(self) -> dict[str, Array]:
         """Return the current values of INSTANT_ARRAYS by name."""
         view, size = self._episodes.view, 2 * self._episodes.batch.model.n_dof
-        return {"tips": view.tip.copy(), "errors": view.tip_error.copy(), "states": view.state[:, :size].copy(),
-                "targets": view.target.copy(), "readings": self._episodes.sensors.observations.copy()}  # fmt: skip
+        now = {"tips": view.tip.copy(), "errors": view.tip_error.copy(), "states": view.state[:, :size].copy(),
+               "targets": view.target.copy(), "readings": self._episodes.sensors.observations.copy()}  # fmt: skip
+        foundation = self._episodes.foundation
+        return now if foundation is None else now | {"bases": foundation.displacements}
 
     def _append(self, now: Mapping[str, Array]) -> None:
         for name, values in now.items():
@@ -394,7 +399,7 @@ class _Recorder:
         ends = np.where(self.ends, self.ends, len(self._rows["actions"]))
         for name, values in arrays.items():
             for arm, end in enumerate(ends):
-                values[arm, end + (name in INSTANT_ARRAYS) :] = np.nan
+                values[arm, end + (name in (*INSTANT_ARRAYS, "bases")) :] = np.nan
         view = self._episodes.view
         return Rollout(**arrays, lengths=ends, failures=tuple(self._failures), period=view.control_period,
                        band=BAND * view.reach, metadata=metadata)  # fmt: skip

@@ -45,6 +45,7 @@ class Episode:
         about: metadata as JSON-compatible data: name of the agent, environment, its settings and their hash, seed,
             versions, failure, arm and model, units of the readings; in an environment with limits that are recorded
             also "limits" and "violations": start and end (s) of each violation, and its largest excess.
+        bases: (T + 1, 3) positions of a base that moves, world frame, m; None for a fixed base.
 
     Examples:
         >>> trajectory = fm.simulate(fm.catalog.paper_scene("rr"), step=0.01)
@@ -63,6 +64,7 @@ class Episode:
     rewards: Array
     readings: dict[str, Array] = field(default_factory=dict)
     about: dict[str, Any] = field(default_factory=dict)
+    bases: Array | None = None
 
     @classmethod
     def from_trajectory(cls, trajectory: Trajectory, name: str = "scene") -> Self:
@@ -109,6 +111,11 @@ class Episode:
         return build_model(find_arm(self.about["arm"]), **vars(choice))
 
     @property
+    def base_positions(self) -> Array:
+        """Positions of the base in the world frame, (T + 1, 3), m; zeros for a fixed base."""
+        return np.zeros((len(self.time), 3)) if self.bases is None else self.bases
+
+    @property
     def name(self) -> str:
         """Name of the agent or of the scene; "" if missing in the metadata."""
         return str(self.about.get("name", ""))
@@ -135,6 +142,7 @@ class Episode:
         path, text = Path(path), json.dumps(self.about).encode()
         arrays = {name: getattr(self, name) for name in ARRAY_AXES}
         arrays |= {f"readings/{name}": values for name, values in self.readings.items()}
+        arrays |= {} if self.bases is None else {"bases": self.bases}
         arrays[METADATA_KEY] = np.frombuffer(text, dtype=np.uint8)
         write_file(path, lambda file: np.savez(file, allow_pickle=False, **arrays))
         return path
@@ -156,7 +164,8 @@ class Episode:
                 arrays = {name: data[name] for name in ARRAY_AXES}
                 prefix = "readings/"
                 readings = {name.removeprefix(prefix): data[name] for name in data.files if name.startswith(prefix)}
-            result = cls(**arrays, readings=readings, about=metadata)
+                bases = data["bases"] if "bases" in data.files else None
+            result = cls(**arrays, readings=readings, bases=bases, about=metadata)
             result._check()
         return result
 
@@ -168,6 +177,7 @@ class Episode:
         sizes = {"time": rows, "period": rows - 1, "axis": 3, "joint": n, "state": self.states.shape[-1]}
         arrays = {name: (getattr(self, name), tuple(sizes[axis] for axis in axes)) for name, axes in ARRAY_AXES.items()}
         arrays |= {f"readings.{name}": (each, (rows, each.shape[-1])) for name, each in self.readings.items()}
+        arrays |= {} if self.bases is None else {"bases": (self.bases, (rows, 3))}
         for name, (values, shape) in arrays.items():
             if values.shape != shape or values.dtype.kind != "f" or rows < 1:
                 raise ValueError(f"{name} is {values.dtype} {values.shape}")
@@ -182,6 +192,8 @@ class Episode:
         result = {"time (s)": self.time, "error (m)": self.errors, "reward": _shift_to_period_ends(self.rewards)}
         for name, values in (("tip", self.tips), ("target", self.targets)):
             result |= {f"{name}_{axis} (m)": values[:, i] for i, axis in enumerate(AXES)}
+        if self.bases is not None:
+            result |= {f"base_{axis} (m)": self.bases[:, i] for i, axis in enumerate(AXES)}
         result |= {f"action_{i}": _shift_to_period_ends(self.actions[:, i - 1]) for i in joints}
         result |= {f"torque_{i} (N m)": _shift_to_period_ends(self.torques[:, i - 1]) for i in joints}
         for name, values in self.readings.items():
@@ -226,6 +238,7 @@ class Episode:
             name: (axes, getattr(self, name)) for name, axes in ARRAY_AXES.items() if name != "time"
         }
         data |= {name: (("time", f"{name}_part"), values) for name, values in self.readings.items()}
+        data |= {} if self.bases is None else {"bases": (("time", "axis"), self.bases)}
         coordinates = {"time": self.time, "axis": list(AXES), "period": self.time[1:]}
         return xarray.Dataset(data, coordinates, attrs=self.about)
 

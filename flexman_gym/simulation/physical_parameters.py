@@ -318,7 +318,7 @@ def _varied_joint(joint: Any, values: Mapping[str, Array], i: int) -> Any:
     """Return a joint with its values, at index i, of the given parameters."""
     own = {name: name for name in ("viscous_friction", "coulomb_friction", "coulomb_rate", "stribeck_rate")}
     own |= {"rotor_inertia": "rotor_inertia"}
-    if joint.stiffness is not None:
+    if joint.stiffness is not None and not joint.passive:  # the spring of a passive joint is no parameter
         own |= {"stiffness": "joint_stiffness", "damping": "joint_damping"}
         own |= {"backlash": "backlash"} if joint.backlash is not None else {}
     changes: dict[str, Any] = {field: float(values[name][i]) for field, name in own.items() if name in values}

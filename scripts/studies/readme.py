@@ -72,6 +72,7 @@ ARMS = {
     "FlexRotary": "one flexible link, motor driven by its voltage",
     "FlexCrane": "loader crane, two flexible booms, a load on a rope without motors",
     "FlexTwoMass": "two masses and a spring, mass 2 measured",
+    "FlexGantry": "portal that travels, flexible bridge, a load on a rope, no motor",
 }
 TASKS = {
     "Slew": "move to a target and settle",

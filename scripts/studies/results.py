@@ -10,7 +10,7 @@ from flexman_gym.envs.config.named_environments import DEFAULT_ID, NAMED_ENVIRON
 from flexman_gym.evaluation.metrics import METRICS
 from flexman_gym.toolbox.league.rows import LeagueRows
 from flexman_gym.toolbox.league.standings import Standings
-from studies.environments.measure import BASELINES, LONG_NAME, Baseline
+from studies.environments.measure import BASELINES, LONG_NAME, SHAPED, Baseline, baselines_of
 from studies.files import read_rows
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -50,14 +50,15 @@ class Results:
         if episodes := len(values[SHOWN[0]]):
             metrics = {name: METRICS[name].aggregate(np.array(each)) for name, each in values.items()}
             return Baseline(scenario, agent, **metrics, episodes=episodes)
-        names = [name for name, each in BASELINES.items() if each == agent]
+        names = [name for name, each in (BASELINES | {SHAPED: "pd-shaped"}).items() if each == agent]
         return self._measured.get((scenario, names[0])) if names else None
 
     def baselines(self) -> list[Baseline]:
         """Return the rows of the baselines of all named environments that have rows."""
         rows = []
         for name in NAMED_ENVIRONMENTS:
-            found = {baseline: self.find(agent, name) for baseline, agent in BASELINES.items()}
+            found = {baseline: self.find(agent, name) for baseline, agent in baselines_of(name).items()}
             rows += [Baseline(**vars(row) | {"baseline": baseline}) for baseline, row in found.items() if row]
+            rows += [row for (where, _), row in self._measured.items() if where.startswith(f"{name}/")]
             rows += [self.long] if name == DEFAULT_ID else []
         return rows

@@ -186,6 +186,8 @@ def test_what_cannot_be_imitated_is_refused():
     base = {"kind": "privileged-lqr"}
     shaping = {**ENVIRONMENT, "id": "FlexRRR-v0", "base": base, "actions": "shaping"}
     assert refusal(DAgger, replace(SHORT, environment=shaping)).startswith("actions: ")
+    travel = ENVIRONMENT | {"foundation": {"kind": "travel"}}
+    assert refusal(DAgger, replace(SHORT, environment=travel)).startswith("foundation: 'travel'")
     assert "iterations_kept" in refusal(DAgger, replace(SHORT, hyperparameters={"gamma": 0.9}))
     for name, value in (("teacher", "nobody"), ("updates", 0), ("net_arch", "wide")):
         said = refusal(lambda name=name, value=value: replace(SHORT, hyperparameters={name: value}))

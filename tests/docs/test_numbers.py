@@ -15,7 +15,7 @@ from flexman_gym.toolbox.league.rows import LeagueRows
 from flexman_gym.toolbox.league.scenarios import LAB_SCENARIO
 from flexman_gym.toolbox.league.standings import Standings
 from studies.files import read_rows
-from studies.markdown import WORDS
+from studies.markdown import WORDS, number_word
 from studies.results import Results
 from studies.safety.measure import SafetyRow
 
@@ -37,7 +37,7 @@ README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 
 def test_the_number_of_environments_on_pages_is_that_of_the_named_environments():
-    word, places = WORDS[len(NAMED_ENVIRONMENTS)], (PAGES["index.md"], PAGES["environments/index.md"])
+    word, places = number_word(len(NAMED_ENVIRONMENTS)), (PAGES["index.md"], PAGES["environments/index.md"])
     for text in places:
         assert re.findall(rf"\b({'|'.join(WORDS[2:])}|\d+) environments\b", text.lower()) == [word]
 

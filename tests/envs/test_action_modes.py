@@ -132,7 +132,7 @@ def test_a_lag_is_that_of_a_first_order_filter():
 
 
 @pytest.mark.feature
-@pytest.mark.parametrize("name", NAMED_ENVIRONMENTS)
+@pytest.mark.parametrize("name", sorted({*NAMED_ENVIRONMENTS} - {"FlexGantry-v0"}))  # no motor
 def test_servos_of_all_environments_are_stable_under_delay_and_lag_and_cease_to_be(name):
     """With tuned gains: at the control period, and at a fifth of it with up to four of these periods of delay."""
     from flexman_gym.toolbox.controllers.margins import sampled_loops

@@ -11,6 +11,8 @@ from hypothesis import strategies as st
 import flexman_gym as fm
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.foundation import find_foundation, plain_foundation
+from flexman_gym.evaluation.agents import find_agent
+from flexman_gym.evaluation.rollouts import rollout
 from flexman_gym.toolbox.foundations.travel import MovingFoundation, Travel
 
 from oracles.assertions import refusal
@@ -240,3 +242,100 @@ def test_what_a_moving_foundation_excludes_is_refused_in_one_line():
     line = refusal(lambda: Configuration("FlexPlanar-v0", {"safety": True, "foundation": {"kind": "travel"}}))
     assert line.startswith("safety") and "the foundation of the arm moves" in line
     assert "the setting foundation" in refusal(lambda: gym.make("FlexPlanar-v0", sensors=["full", "foundation"]))
+
+
+def programs_without_travel():
+    """Return calls of programs that command torques only, by name."""
+    from flexman_gym.toolbox.controllers.margins import sampled_loops
+    from flexman_gym.toolbox.deployment.c_code import begin_agent
+    from flexman_gym.toolbox.deployment.machine.arm import SimulatedArm
+    from flexman_gym.toolbox.deployment.machine.drive import wanted_quantities
+
+    planar = Configuration("FlexPlanar-v0", {"foundation": {"kind": "travel"}})
+    return {
+        "export c": lambda: begin_agent("pd-shaped", ID),
+        "drive": lambda: wanted_quantities("pd", planar),
+        "simulated machine": lambda: SimulatedArm(planar, 0),
+        "sensitivities": lambda: fm.sensitivities(planar, of="tip", to=("payload_mass",), agent="pd"),
+        "bode": lambda: sampled_loops(fm.build_model(fm.catalog.gantry()), [0.0] * 3, 0.02),
+    }
+
+
+@pytest.mark.parametrize("name", ["export c", "drive", "simulated machine", "sensitivities", "bode"])
+def test_programs_without_the_travel_are_refused_in_one_line(name):
+    expected = "arm.joints: 'passive joints'" if name == "bode" else "foundation: 'travel' is not allowed; give None: "
+    assert refusal(programs_without_travel()[name]).startswith(expected)
+
+
+def test_a_designed_agent_commands_the_travel_once():
+    """Trained policies and the agents of the league have an action mode that commands the foundation already."""
+    bare = Configuration(ID, {"horizon": 4.0})
+    spec = find_agent("pd-shaped")
+    designed = spec.designed(bare)
+    assert designed.interface["actions"].names == ("travel",)
+    expected, found, (timed, _) = rollout(spec, bare, [3]), rollout(designed, bare, [3]), spec.timed(bare)
+    assert np.array_equal(found.tips, expected.tips)
+    assert np.array_equal(rollout(timed, bare, [3]).tips, expected.tips)
+    assert np.ptp(expected.bases[0, :, 0]) > 0.5
+
+
+def test_a_saved_episode_has_the_positions_of_the_base(tmp_path):
+    result = rollout("pd", Configuration(ID, {"horizon": 1.0}), [9000, 9001])
+    episode = result.episode(1)
+    travel, axis = episode.readings["travel"], np.array([1.0, 0.0, 0.0])
+    assert np.array_equal(episode.bases, travel * axis) and np.ptp(travel) > 0.05
+    assert np.ptp(episode.targets + episode.bases, axis=0) == pytest.approx(0.0, abs=1e-12)
+    loaded = fm.Episode.load(episode.save(tmp_path / "episode.npz"))
+    assert np.array_equal(loaded.bases, episode.bases)
+    assert np.array_equal(loaded.columns()["base_x (m)"], travel[:, 0])
+    fixed = rollout("pd", Configuration("FlexOne-v0", {"horizon": 0.1}), [0]).episode(0)
+    assert fixed.bases is None and not fixed.base_positions.any() and "base_x (m)" not in fixed.columns()
+
+
+def test_frames_show_the_travel():
+    """A frame of an arm at a base elsewhere is the frame of the arm, seen by a camera that is elsewhere by as much."""
+    from flexman_gym.toolbox.view.frames import FramePainter
+
+    model, base = fm.build_model(fm.catalog.gantry()), np.array([3.0, -2.0, 0.0])
+    state, painter = fm.rest_state(model, [0.0] * 3), FramePainter(model, (96, 72), overlays=False)
+    points = np.array([[2.0, 7.0, 1.0], [-2.0, -1.0, -5.0]])
+    shots = painter.shot(points), painter.shot(points + base, base[None])
+    np.testing.assert_allclose(shots[1].camera.eye, shots[0].camera.eye + base, atol=1e-9)
+    shot = shots[0]._replace(camera=shots[1].camera)  # the grid of the floor stays in the world
+    target = np.array([0.5, 6.0, -4.0])
+    still = painter.paint(state, target, shot=shots[0])
+    moved = painter.paint(state, target + base, shot=shot, base=base)
+    assert np.abs(still.astype(int) - moved).mean() < 0.05
+    assert np.abs(still.astype(int) - painter.paint(state, target + base, shot=shot)).mean() > 2.0
+
+    env = gym.make(ID, render_mode="rgb_array", render_size=(96, 72), base="pd")
+    env.reset(seed=1, options={"travel_start": [-6.0], "travel_goal": [6.0]})
+    first = env.render().astype(int)
+    for _ in range(200):
+        env.step(np.zeros(1, dtype=np.float32))
+    assert np.abs(env.render() - first).mean() > 2.0
+
+
+def test_live_view_of_the_gantry_starts_and_refuses_a_target():
+    with fm.live(ID, ["pd-shaped"]) as session:
+        assert "joint_damping" not in session.state()["values"]
+        assert "fixed foundation" in refusal(lambda: session.command({"target": [0.0, 6.0, -4.0]}))
+
+
+def test_description_of_an_arm_with_passive_joints_only():
+    text = str(fm.describe("gantry", ID))
+    assert "joint 1                      passive" in text and "nan" not in text
+
+
+def test_gantry_in_mujoco_moves_as_here():
+    """Rigid links have one body, and a passive joint is a hinge with its spring and without an actuator."""
+    pytest.importorskip("mujoco")
+    from flexman_gym.toolbox.interchange.mjcf import to_mjcf
+    from flexman_gym.toolbox.league.scenarios import PLANTS
+
+    text = to_mjcf(fm.catalog.gantry())
+    assert text.count("<motor") == 0 and 'name="spring 0"' not in text and 'stiffness="2000000.0"' in text
+    bare = Configuration(ID, {"horizon": 6.0})
+    here, there = (rollout("pd", bare, [9000], set_plant=PLANTS[each][1]) for each in ("usual", "mujoco"))
+    assert np.ptp(here.tips[0, :, 0]) > 0.3 and np.abs(here.tips - there.tips).max() < 2e-3
+    assert np.array_equal(here.bases, there.bases)

@@ -38,7 +38,8 @@ def test_the_specification_of_an_environment_with_an_own_arm_makes_it_again(name
     assert second.arm == OWN and second.limits == first.limits == fm.Limits(angle=2.0)
     assert first.arm.links[0].outline == second.arm.links[0].outline is not None
     seen = [each.reset(seed=3)[0] for each in (env, again)]
-    moved = [each.step(np.array([0.3, -0.2], dtype=np.float32)) for each in (env, again)]
+    action = np.resize([0.3, -0.2], env.action_space.shape).astype(np.float32)  # of motors, then of the foundation
+    moved = [each.step(action) for each in (env, again)]
     assert np.array_equal(*seen) and np.array_equal(moved[0][0], moved[1][0]) and moved[0][1] == moved[1][1]
 
 

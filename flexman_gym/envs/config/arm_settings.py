@@ -94,7 +94,7 @@ def _facts(plain: str, torque_limit: tuple[float, ...], span: tuple[float, float
     by_torque = _torque_durations(model, limits, (starts, changes), torques.max(axis=1))
     speeds = np.array([np.inf if speed is None else speed for speed in motor_speeds(arm)])
     durations = np.maximum(by_torque, (PEAK_RATE * np.abs(changes) / (SPEED_SHARE * speeds)).max(axis=1))
-    rates = PEAK_RATE * np.abs(changes).max(axis=1) / durations
+    rates = PEAK_RATE * np.abs(changes).max(axis=1) / np.where(durations > 0.0, durations, 1.0)
     durations = np.maximum(durations, 1.0 / held[0] if held else 0.0)
     springs = [each.stiffness / each.rotor_inertia for each in arm.joints if each.stiffness and not each.passive]
     rotor = math.sqrt(max(springs, default=0.0)) / (2.0 * math.pi)
@@ -133,7 +133,7 @@ def _torque_durations(model: Model, limits: Array, slews: tuple[Array, Array], h
         inertia = slew_inertia(model, start + change / 2.0)
         free = np.maximum(TORQUE_SHARE * limits - weight, (1.0 - TORQUE_SHARE) * limits)
         needed = PEAK_ACCELERATION * np.abs(inertia @ change)
-        result.append(np.sqrt((needed[limits > 0.0] / free[limits > 0.0]).max()))
+        result.append(np.sqrt((needed[limits > 0.0] / free[limits > 0.0]).max(initial=0.0)))
     return np.array(result)
 
 

@@ -26,7 +26,7 @@ def make_base_and_mode(configuration: Configuration, model: Model) -> tuple[Cont
         if isinstance(base, PD) and (text := base.unstable(model, plant.period, configuration.max_delay)):
             warnings.warn(text, stacklevel=2)
     mode = make_action_mode(configuration.actions, plant, base)
-    if configuration.foundation is not None:
+    if configuration.foundation is not None and not hasattr(mode, "commands"):  # a designed mode may command it already
         mode = configuration.foundation.make_mode(mode, base)
     return base, mode
 

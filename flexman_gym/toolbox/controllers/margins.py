@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexman_gym.common.arrays import Array, IntArray, Vector
+from flexman_gym.common.errors import value_error
 from flexman_gym.model.model import Model
 from flexman_gym.model.state_space import LinearModel, first_order_lag
 from flexman_gym.model.statics import holding_torques, rest_state
@@ -103,7 +104,12 @@ def sampled_loops(
         period: control period, s.
         delay: delay of the torques, whole control periods.
         bandwidth: bandwidth of a first-order lag of the drives, Hz, see `first_order_lag`; None for no lag.
+
+    Raises:
+        ValueError: for an arm whose joints are all passive.
     """
+    if not len(model.driven_columns):
+        raise value_error("arm.joints", "passive joints", "a joint with a motor: loops are closed by motors")
     linear = _at_rest(model, joint_angles)
     return [_loop(model, linear, stuck, period, delay, bandwidth) for stuck in _stuck_sets(model)]
 

@@ -136,6 +136,8 @@ def begin_agent(name: object, environment: str = "", seed: int = TEST_SEEDS[0], 
     bare = common_environment([spec], Configuration.find(environment) if environment else None)
     if bare.safety:
         raise value_error("safety", True, "False: the safety filter cannot be exported")
+    if bare.foundation is not None:
+        raise value_error("foundation", "travel", "None: only torques of the motors can be exported")
     interface = dict(spec.interface or {})
     base: Any = interface.get("base")
     if isinstance(base, str | dict):

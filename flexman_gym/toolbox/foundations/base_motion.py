@@ -232,6 +232,16 @@ class BaseMotion:
         ]
 
     @property
+    def displacements(self) -> Array:
+        """Zeros (b, 3): pictures show the arm in the base frame."""
+        return np.zeros_like(self._targets)
+
+    @property
+    def goals(self) -> Array:
+        """Zeros (b, 3), as `displacements`."""
+        return np.zeros_like(self._targets)
+
+    @property
     def readings(self) -> Array:
         """Roll, pitch and yaw, rad, angular velocity, base frame, rad/s, and acceleration, world, m/s^2, (b, 9)."""
         pose, rate, acceleration = self.motion(slice(None), self._batch.time)

@@ -29,7 +29,7 @@ class FoundationMode(ModeWrapper):
         commands: (b, 1) commands of the present control period, as fractions of the largest speed.
     """
 
-    withheld: ClassVar[tuple[str, ...]] = ("derivatives",)
+    withheld: ClassVar[tuple[str, ...]] = ("derivatives", "strength")
     state_fields: tuple[str, ...] = ("_mode", "commands")
 
     def __init__(

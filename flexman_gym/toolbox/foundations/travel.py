@@ -169,6 +169,18 @@ class MovingFoundation:
         ]
 
     @property
+    def goals(self) -> Array:
+        """Goals of the positions of the bases in the world frame, (b, 3), m."""
+        result: Array = self.goal * self._axis
+        return result
+
+    @property
+    def displacements(self) -> Array:
+        """Positions of the bases in the world frame, (b, 3), m."""
+        result: Array = self.position * self._axis
+        return result
+
+    @property
     def readings(self) -> Array:
         """Position, velocity and error of the position of the foundation, (b, 3), m and m/s."""
         return np.hstack([self.position, self.velocity, self.goal - self.position])

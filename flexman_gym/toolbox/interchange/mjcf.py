@@ -96,7 +96,7 @@ def to_mjcf(
     """Return the model of an arm at zero joint angles as the text of an MJCF file.
 
     The actuators are motor torques, N m. The site "tip" is the tip of the last link. Hinges are named "motor 0",
-    "spring 0" and so on.
+    "spring 0" and so on; the only hinge of a passive joint is named "motor 0" too, and has no actuator.
 
     Args:
         arm: the arm.
@@ -144,9 +144,13 @@ def to_mjcf(
 
 
 def _add_joint(body: Any, actuators: Any, joint: Joint, i: int) -> None:
-    """Add the hinges of joint i to its body, and its motor to the actuators."""
+    """Add the hinges of joint i to its body, and its motor to the actuators; a passive joint is a hinge alone."""
     axis = _numbers(joint.axis)
     friction = {"damping": repr(joint.rotor_damping), "frictionloss": repr(joint.coulomb_friction)}
+    if joint.passive:
+        spring = {} if joint.stiffness is None else {"stiffness": repr(joint.stiffness)}
+        _add(body, "joint", friction | spring, name=f"motor {i}", axis=axis)
+        return
     _add(body, "joint", friction, name=f"motor {i}", axis=axis, armature=repr(joint.rotor_inertia))
     limit = joint.torque_limit
     limits = {} if limit is None else {"ctrlrange": _numbers((-limit, limit))}

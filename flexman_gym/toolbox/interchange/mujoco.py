@@ -50,7 +50,9 @@ class MuJoCoSimulator:
         self._datas = [mujoco.MjData(each) for each in self._models]
         one, numbers = self._models[0], np.arange(model.n_joints)
         self._motors: IntArray = np.array([one.joint(f"motor {i}").qposadr[0] for i in numbers])
-        self._springs = self._motors + np.array([joint.stiffness is not None for joint in model.arm.joints])
+        self._springs = self._motors + np.array(
+            [joint.stiffness is not None and not joint.passive for joint in model.arm.joints]
+        )
         self._links = [_link_bodies(one, i, link) for i, link in enumerate(model.arm.links)]
         self.stations: Stations = [link.stations for link in self._links]
         mujoco.set_mju_user_warning(lambda message: None)  # else MuJoCo writes a log file at each divergence
@@ -123,7 +125,10 @@ class MuJoCoSimulator:
 
 
 def _link_bodies(model: Any, number: int, link: Any) -> _LinkBodies:
-    """Return the bodies and hinges of the link with index `number` in MuJoCo's model of its arm."""
+    """Return the bodies and hinges of the link with index `number` in MuJoCo's model; a rigid link has no hinges."""
+    body, orientation = model.body(f"link_{number}").id, np.array(link.orientation)
+    if not link.flexible:
+        return _LinkBodies(body, orientation, np.zeros((0, 3), dtype=np.int64), np.zeros(0), np.zeros(0))
     cut = rigid_pieces(link, PIECES_PER_SECTION)
     starts = np.array([piece.start for piece in cut[1:]])
     ends = np.concatenate(
@@ -133,7 +138,7 @@ def _link_bodies(model: Any, number: int, link: Any) -> _LinkBodies:
     stations = ends + lengths
     name = f"link_{number}"
     angles = [[model.joint(f"{name}_{j}_{letter}").qposadr[0] for letter in "xyz"] for j in range(len(starts))]
-    return _LinkBodies(model.body(name).id, np.array(link.orientation), np.array(angles), stations - starts, stations)
+    return _LinkBodies(body, orientation, np.array(angles), stations - starts, stations)
 
 
 def _rotation_vectors(rotations: Array) -> Array:

@@ -135,6 +135,8 @@ def sensitivities(
     environment, spec = Configuration.find(scene), find_agent(agent)
     if environment.safety:
         raise value_error("safety", True, "False: the safety filter has no derivatives")
+    if environment.foundation is not None:
+        raise value_error("foundation", "travel", "None: the commands of a foundation have no derivatives")
     derivatives = _Derivatives(spec, environment, (checked_names("of", of), checked_names("to", to)))
     return derivatives.result(rollout(spec, environment, [seed], derivatives))
 

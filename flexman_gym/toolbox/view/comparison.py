@@ -115,7 +115,8 @@ class _Panels:
         points = np.concatenate([
             part for each in episodes for part in _extent(each, end, self._painters[0].gains)
         ])  # fmt: skip
-        self._shots = [painter.shot(points) for painter in self._painters]
+        bases = np.concatenate([_outermost_bases(each, end) for each in episodes])
+        self._shots = [painter.shot(points, bases) for painter in self._painters]
 
     def paint(self, time: float) -> Picture:
         """Return the frame at a time (s)."""
@@ -123,10 +124,12 @@ class _Panels:
         picture = np.full((height, width, 3), 255, dtype=np.uint8)
         for k, (episode, painter, shot) in enumerate(zip(self._episodes, self._painters, self._shots, strict=True)):
             row = min(round(time / episode.period), len(episode.time) - 1)
-            target = episode.targets[row] if np.isfinite(episode.targets[row]).all() else None
+            bases = episode.base_positions
+            target = episode.targets[row] + bases[row] if np.isfinite(episode.targets[row]).all() else None
             left = k * painter.size[0]
             part = picture[self._head : self._head + painter.size[1], left : left + painter.size[0]]
-            part[:] = painter.paint(episode.states[row], target, trail=episode.tips[: row + 1], shot=shot)
+            trail = episode.tips[: row + 1] + bases[: row + 1]
+            part[:] = painter.paint(episode.states[row], target, trail=trail, shot=shot, base=bases[row])
             self._write_head(picture, k, float(episode.errors[row]))
         write_text(picture, f"t {time:.2f} s", (-self._font, self._font // 2), self._font)
         self._write_note(picture)
@@ -155,8 +158,18 @@ class _Panels:
 def _extent(episode: Episode, end: float, gains: tuple[float, float]) -> tuple[Array, Array]:
     """Return points (p, 3) and targets (t, 3), m, of an episode up to a time (s) at given magnifications."""
     rows = np.unique(np.linspace(0, min(round(end / episode.period), len(episode.time) - 1), VIEW_STATES).astype(int))
-    bent, targets = curves(episode.model, episode.states[rows], LINK_POINTS, *gains), episode.targets[rows]
-    return bent.positions.reshape(-1, 3), targets[np.isfinite(targets).all(axis=1)]
+    bent, bases = curves(episode.model, episode.states[rows], LINK_POINTS, *gains), episode.base_positions[rows]
+    targets = episode.targets[rows] + bases
+    return (bent.positions + bases[:, None, None]).reshape(-1, 3), targets[np.isfinite(targets).all(axis=1)]
+
+
+def _outermost_bases(episode: Episode, end: float) -> Array:
+    """Return the positions of the base (2, 3), m, farthest from each other up to a time, s; (1, 3) of a fixed base."""
+    bases = episode.base_positions[: round(end / episode.period) + 1]
+    if episode.bases is None:
+        return bases[:1]
+    along = bases @ (bases[np.linalg.norm(bases - bases[0], axis=1).argmax()] - bases[0])
+    return bases[[along.argmin(), along.argmax()]]
 
 
 class _ErrorStrip:

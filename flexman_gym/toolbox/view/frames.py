@@ -217,13 +217,14 @@ class FramePainter:
                 (memory, "f4"), ((*memory, 3), "u1"), ((*memory, 3), "u1"), (4, "i8"))))  # fmt: skip
         self._shown: _Shot | None = None
 
-    def shot(self, points: Array | None = None) -> _Shot:
+    def shot(self, points: Array | None = None, bases: Array | None = None) -> _Shot:
         """Return a camera whose picture contains points and the base, with the background.
 
         Args:
-            points: points (p, 3) in the base frame, m; None for the whole workspace.
+            points: points (p, 3) in the frame of the picture, m; None for the whole workspace.
+            bases: positions of the base (k, 3) in the frame of the picture, m; None for its origin.
         """
-        camera, floor = self.camera(_reachable_points(self.model) if points is None else points)
+        camera, floor = self.camera(_reachable_points(self.model) if points is None else points, bases)
         canvas, (width, height) = self._canvas, self.size
         back, plain = np.zeros_like(canvas.back), np.zeros_like(canvas.plain)
         raster.draw_floor(back, camera.eye, camera.axes, camera.lens * SUPERSAMPLING, floor, self.reach, self.grid)
@@ -236,13 +237,15 @@ class FramePainter:
         raster.resolve(whole._replace(mask=np.zeros_like(canvas.mask)), np.zeros(3), 0.0)
         return _Shot(camera, floor, back, plain)
 
-    def camera(self, points: Array) -> tuple[_Camera, float]:
+    def camera(self, points: Array, bases: Array | None = None) -> tuple[_Camera, float]:
         """Return the camera for points (p, 3), m, and the z coordinate of the floor, m; see `shot`."""
-        places = np.concatenate([np.asarray(points, dtype=float).reshape(-1, 3), np.zeros((1, 3))])
+        feet = np.zeros((1, 3)) if bases is None else bases
+        places = np.concatenate([np.asarray(points, dtype=float).reshape(-1, 3), feet])
         floor = float(places[:, 2].min()) - FLOOR_GAP * self.reach
         turn = np.linspace(0.0, 2 * np.pi, 8, endpoint=False)
         rim = np.column_stack([np.cos(turn), np.sin(turn), np.zeros(8)]) * BASE_RADIUS * self.radii[0]
         plate = rim + np.array([0.0, 0.0, floor - BASE_HALF_HEIGHT * self.radii[0]])
+        plate = np.concatenate([plate + foot * (1.0, 1.0, 0.0) for foot in feet])
         radii = np.repeat([self._largest_radius(), 0.0], [len(places), len(plate)])
         margins = Caption.margins(self.size[1]) if self.overlays else MARGINS
         return _fit_camera(np.concatenate([places, plate]), radii, self.direction, self.size, margins), floor
@@ -266,27 +269,31 @@ class FramePainter:
         caption: Caption | None = None,
         trail: Array | None = None,
         shot: _Shot | None = None,
+        base: Vector | None = None,
     ) -> NDArray[np.uint8]:
         """Return a frame (height, width, 3) uint8 of the arm at a state.
 
         Args:
             state: state (2 d,).
-            target: target of the tip (3,) in the base frame, m; None for no target.
+            target: target of the tip (3,) in the frame of the picture, m; None for no target.
             caption: text and numbers over the picture.
-            trail: past positions of the tip (t, 3), m, the oldest first.
+            trail: past positions of the tip (t, 3) in the frame of the picture, m, the oldest first.
             shot: camera and background; None for camera and background of the previous frame, at first for the whole
                 workspace.
+            base: position of the base (3,) in the frame of the picture, m; None for its origin.
         """
         x = np.array(vector("state", state, 2 * self.model.n_dof))
         place = None if target is None else np.array(vector("target", target, 3, "m"))
         self._show(shot or self._shown or self.shot())
         assert self._shown is not None
+        origin = np.zeros(3) if base is None else np.array(vector("base", base, 3, "m"))
         bent, rigid = (curves(self.model, x, POINTS, *gains) for gains in (self.gains, (0.0, 0.0)))
+        bent, rigid = (each._replace(positions=each.positions + origin) for each in (bent, rigid))
         tubes, strain = tube_surfaces(bent, self._sections)
         links, scale = np.tile(rgb("#b8bec8"), (len(strain), 1)), np.broadcast_to(self.scale, self.model.n_joints)
         if scale.all():
             links = strain_colours(strain / np.repeat(scale, len(strain) // len(scale)))
-        parts = self._parts(bent.positions, bent.frames, place)
+        parts = self._parts(bent.positions, bent.frames, place, origin)
         mesh = _join_meshes([tubes, *(part for part, _ in parts)])
         colours = np.concatenate([links, *(np.tile(rgb(colour), (len(part.points), 1)) for part, colour in parts)])
         self._draw(mesh, colours)
@@ -298,7 +305,7 @@ class FramePainter:
         if place is not None:
             self._line(np.array([[*place[:2], self._shown.floor], place]), 0.5, 1.0, PLUMB_LINE)
         if self.gains != (1.0, 1.0):
-            true = curves(self.model, x, 2).positions[-1, -1]
+            true = curves(self.model, x, 2).positions[-1, -1] + origin
             self._line(np.array([true, true + 1e-6]), 3.0, 1.0, TRAIL)
         canvas, ghost = self._canvas, self._project(tube_surfaces(rigid, self._sections)[0].points, SUPERSAMPLING)
         raster.mark_coverage(ghost, tubes.faces, canvas.mask, canvas.depth, canvas.box)
@@ -352,18 +359,18 @@ class FramePainter:
         thick = radius * SUPERSAMPLING * max(self.size[1] / 480, 0.5)
         raster.draw_line(self._canvas, self._project(points, SUPERSAMPLING), thick, faintest, rgb(colour))
 
-    def _parts(self, positions: Array, frames: Array, target: Array | None) -> list[tuple[Mesh, str]]:
-        """Return the meshes of motors, post, tip, payload and target, each with its colour."""
+    def _parts(self, positions: Array, frames: Array, target: Array | None, origin: Array) -> list[tuple[Mesh, str]]:
+        """Return the meshes of motors, post at the base, tip, payload and target, each with its colour."""
         assert self._shown is not None
         model, radii, up, floor = self.model, self.radii, np.array([0.0, 0.0, 1.0]), self._shown.floor
         result = []
         for i in range(model.n_joints):
             axis = frames[i, 0] @ model.constants.axis[i]
             result.append((CYLINDER.transformed(positions[i, 0], axis, radii[i], MOTOR_HALF_LENGTH * radii[i]), MOTOR))
-        foot, half = np.array([0.0, 0.0, floor / 2]), -floor / 2
-        result.append((SHARP_CYLINDER.transformed(foot, up, 0.8 * radii[0], half), POST))
+        ground, half = np.array([*origin[:2], floor]), (origin[2] - floor) / 2
+        result.append((SHARP_CYLINDER.transformed(ground + half * up, up, 0.8 * radii[0], half), POST))
         plate = BASE_RADIUS * radii[0], BASE_HALF_HEIGHT * radii[0]
-        result.append((CYLINDER.transformed(np.array([0.0, 0.0, floor]), up, *plate), POST))
+        result.append((CYLINDER.transformed(ground, up, *plate), POST))
         load, end = model.arm.payload, positions[-1, -1]
         result.append((SPHERE.transformed(end, up, radii[-1], radii[-1]), TIP))
         if load is not None:

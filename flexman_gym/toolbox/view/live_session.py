@@ -344,8 +344,9 @@ class LiveSession:
         from scipy.optimize import least_squares
 
         view = self._loops[0].episodes.view
-        if "goal_angles" not in view.episode_parameters:
-            raise value_error("target", value, "it in an environment whose target does not move")
+        if "goal_angles" not in view.episode_parameters or view.foundation is not None:
+            allowed = "it in an environment whose target does not move, on a fixed foundation"
+            raise value_error("target", value, allowed)
         start, position = view.motor_angles[0].copy(), np.array(vector("target", value, 3, "m"))
         nearest = least_squares(lambda angles: (view.rest_tips(angles[None])[0] - position) / view.reach, start)
         self._start(options={"start": start.tolist(), "goal_angles": nearest.x.tolist()})

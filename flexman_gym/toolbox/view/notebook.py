@@ -43,13 +43,15 @@ def trajectory_picture(trajectory: Trajectory) -> bytes | None:
 def episode_picture(episode: Episode) -> bytes:
     """Return a PNG with three frames of an episode: at its start, during its motion and at its end."""
     rows = (np.array(MOMENTS) * (len(episode.time) - 1)).round().astype(int)
-    targets = [each if np.isfinite(each).all() else None for each in episode.targets[rows]]
-    positions = curves(episode.model, episode.states[rows], POINTS).positions.reshape(-1, 3)
+    bases, tips = episode.base_positions, episode.tips + episode.base_positions
+    targets = [each if np.isfinite(each).all() else None for each in (episode.targets + bases)[rows]]
+    positions = curves(episode.model, episode.states[rows], POINTS).positions + bases[rows, None, None]
     painter = FramePainter(episode.model, SIZE)
-    shot = painter.shot(np.vstack([positions, *(each for each in targets if each is not None)]))
+    points = [positions.reshape(-1, 3), *(each for each in targets if each is not None)]
+    shot = painter.shot(np.vstack(points), bases[rows])
     errors = [float(each) if np.isfinite(each) else None for each in episode.errors[rows]]
     captions = [Caption(episode.name, float(time), each) for time, each in zip(episode.time[rows], errors, strict=True)]
     return encode_picture(grid([
-        painter.paint(episode.states[row], target, words, episode.tips[: row + 1], shot)
+        painter.paint(episode.states[row], target, words, tips[: row + 1], shot, bases[row])
         for row, target, words in zip(rows, targets, captions, strict=True)
     ], len(rows)))  # fmt: skip

@@ -55,16 +55,27 @@ class Renderer:
         if not view.episode_parameters:
             raise RuntimeError("render: there is no episode to be drawn: reset the environment first")
         if self._is_new(arm):
-            self._trails[arm], self._shots[arm] = [], self._painter.shot(self.extent(arm))
+            points, base = self.extent(arm), self._bases()[arm]
+            bases = base[None]
+            if episodes.foundation is not None:  # its start and its goal
+                bases = np.array([base, episodes.foundation.goals[arm]])
+            points = np.concatenate([points + each for each in bases])
+            self._trails[arm], self._shots[arm] = [], self._painter.shot(points, bases)
         time = float(episodes.batch.time[arm])
         trail = [entry for entry in self._trails[arm] if time - TRAIL_DURATION <= entry[0] < time]
-        self._trails[arm] = [*trail, (time, view.tip[arm].copy())]
+        base = self._bases()[arm]
+        self._trails[arm] = [*trail, (time, view.tip[arm] + base)]
         reward = float(episodes.rewards()[arm]) if time > 0.0 else None
         limits = episodes.limits
         strain = None if limits.strain is None else float(limits.strain_share(view)[arm])
         caption = Caption(self._title, time, float(view.tip_error[arm]), reward, view.action[arm].copy(), strain)
         path = np.array([tip for _, tip in self._trails[arm]])
-        return self._painter.paint(view.state[arm], view.target[arm], caption, path, self._shots[arm])
+        return self._painter.paint(view.state[arm], view.target[arm] + base, caption, path, self._shots[arm], base)
+
+    def _bases(self) -> Array:
+        """Return the positions of the bases (b, 3) in the world frame, m; zeros for fixed bases."""
+        foundation = self._episodes.foundation
+        return np.zeros((len(self._episodes.over), 3)) if foundation is None else foundation.displacements
 
     def _is_new(self, arm: int) -> bool:
         """Return True if a new episode of the arm with the index `arm` has begun since the last call."""

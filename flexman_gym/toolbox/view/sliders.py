@@ -50,7 +50,8 @@ def arm_sliders(episodes: Episodes) -> dict[str, Slider]:
     """Return the sliders of the arm by the name of a parameter in PARAMETERS or an effect in SIGNALS."""
     model, nominal = episodes.batch.model, episodes.batch.nominal
     rate = 2.0 * np.pi * episodes.view.first_frequency  # rad/s
-    damping = 2.0 * nominal["joint_stiffness"] / rate  # of a damping ratio of 1
+    stiffness = nominal["joint_stiffness"]
+    damping = 2.0 * stiffness / rate if rate > 0.0 else 0.0 * stiffness  # of a damping ratio of 1
     heaviest = round_up(max(4.0 * float(nominal["payload_mass"]), 0.1 * sum(link.mass for link in model.arm.links)))
     rows = {
         "payload_mass": Slider("payload (kg)", 0.0, heaviest, heaviest / 100.0),

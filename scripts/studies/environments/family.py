@@ -14,16 +14,18 @@ from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.envs.tasks import Slew
 from flexman_gym.scene import catalog
 from flexman_gym.scene.link import Link
-from studies.environments.measure import DURATION, Baseline, ModelError, baselines_of
+from studies.environments.measure import DURATION, SHAPED, SPREAD, Baseline, ModelError, baselines_of
 from studies.environments.text import (
     arm_facts,
     baseline_table,
     docstring_sections,
+    episodes_text,
     is_slew,
     length,
     make,
     observation_rows,
     paragraph,
+    settled_text,
 )
 from studies.files import read_rows
 from studies.machine.measure import SCORE, SHEET, FitRow
@@ -104,6 +106,17 @@ FAMILIES = (
         "[Probabilities of instability](../evidence/papers.md#two-masses-and-a-spring) for random springs.",
         ("FlexTwoMass-v0",),
     ),
+    Family(
+        "FlexGantry",
+        "FlexGantry: a portal that travels with a load on a rope",
+        "The portal of a gantry crane travels on rails, a flexible bridge of 6 m stands out from it, and a load of "
+        "500 kg hangs from a rope of 4 m at the tip of the bridge. No joint has a motor: the only command is the "
+        "travel of the portal, see [moving foundations](../theory.md#moving-foundations). The load is the tip of the "
+        "arm, so that its swing, 4.1 s a period, is part of the tip error. With a rigid bridge it is the trolley and "
+        "pendulum of textbooks, on which ZV shaping (Singer and Seering, 1990) leaves the residual that theory "
+        "predicts.",
+        ("FlexGantry-v0",),
+    ),
 )
 
 
@@ -137,6 +150,8 @@ def _actions(family: Family) -> list[str]:
     """Return the table of the actions, with the torque limits of each environment."""
     if family.environments == ("FlexRotary-v0",):
         return _voltages(family.environments[0])
+    if NAMED_ENVIRONMENTS[family.environments[0]].foundation is not None:
+        return _travel(family.environments[0])
     limits = {
         name: tuple(each for each in make(name).configuration.torque_limit if each) for name in family.environments
     }
@@ -149,6 +164,29 @@ def _actions(family: Family) -> list[str]:
     heads = ("entry", "meaning", "range", *(f"limit in {_short(names)}" for names in groups.values()))
     text = paragraph(f"A torque is constant during a control period: {', '.join(rates)}.")
     return [*markdown_table(heads, rows), "", *text]
+
+
+def _travel(name: str) -> list[str]:
+    """Return the table of the action of an environment whose only command is the travel of the foundation."""
+    named = NAMED_ENVIRONMENTS[name]
+    servo = named.foundation
+    rows = [(0, "`travel`: velocity of the portal / its limit", "-1 to 1", f"{servo.speed:g} m/s")]
+    text = paragraph(
+        "A stiff servo accelerates the portal uniformly in a control period,",
+        f"{1.0 / named.control_period:g} Hz, to the",
+        f"commanded velocity, with at most {servo.acceleration:g} m/s^2: it lags by half a period. Rails end",
+        f"{servo.travel:g} m from the middle on both sides. Near an end the servo limits the velocity such that the",
+        "portal comes to rest before it. The swing of the load does not move the portal.",
+    )
+    more = paragraph(
+        'With `base="pd"` an action is added to the velocity from which half of the largest acceleration stops',
+        'the portal at its goal, with `base="pd-shaped"` to a trapezoid of the velocity, convolved with an input',
+        "shaper for the swing. Start and goal of the travel are drawn between the ends, or given by the options",
+        "`travel_start` and `travel_goal` of the reset, m. The picture shows the portal where it is; the replay page",
+        "and the live view show the arm in the frame of the portal, in which the target moves.",
+    )
+    heads = ("entry", "meaning", "range", f"limit in {_short([name])}")
+    return [*markdown_table(heads, rows), "", *text, "", *more]
 
 
 def _voltages(name: str) -> list[str]:
@@ -243,24 +281,43 @@ def _environment(name: str, baselines: Sequence[Baseline], errors: Sequence[Mode
     values = {"kind": kind.lower()} | {key: value for key, value in vars(named.task).items() if not key.startswith("_")}
     shown = textwrap.wrap(f"task = {json.dumps(values)}", 100, subsequent_indent=8 * " ")
     description = docstring_sections(type(named.task))["Description"]
-    both = "tracking LQR" in baselines_of(name)
-    seen = "PD controller at the left, tracking LQR at the right, tip errors below" if both else "PD controller"
+    others = [each for each in ("tracking LQR", SHAPED) if each in baselines_of(name)]
+    seen = f"PD controller at the left, {others[0]} at the right, tip errors below" if others else "PD controller"
     picture = f"{name}: {seen}"
-    controllers = "with the PD, and with the tracking LQR" if both else "and with the PD"
-    chart = f"{name}: tip error and largest torque of an episode without torque, {controllers}"
+    controllers = f"with the PD, and with the {others[0]}" if others else "and with the PD"
+    quantity = "largest torque" if named.foundation is None else "speed of the portal"
+    chart = f"{name}: tip error and {quantity} of an episode without torque, {controllers}"
     task = f"Task [{kind}](tasks.md#{kind.lower()}), control period {named.control_period:g} s, episodes of "
     return [
         f"![{picture}]({name}.gif){{ width=464 }}", "", *description, "",
         f"{task}{named.horizon:g} s:", "", "```python", *shown, "```", "",
         *baseline_table(name, baselines), "", f"![{chart}]({name}.svg)", "",
-        *(_model_error(own[0]) if own else []), *_first_training(name, code),
+        *_under_conditions(name, baselines), *(_model_error(own[0]) if own else []), *_first_training(name, code),
     ]  # fmt: skip
+
+
+def _under_conditions(name: str, baselines: Sequence[Baseline]) -> list[str]:
+    """Return the table of the baselines that were measured under conditions of an environment; [] without such rows."""
+    rows = [row for row in baselines if row.environment.startswith(f"{name}/")]
+    conditions = list(dict.fromkeys(row.environment.partition("/")[2] for row in rows))
+    names = list(dict.fromkeys(row.baseline for row in rows))
+    found = {(row.baseline, row.environment.partition("/")[2]): settled_text(row) for row in rows}
+    cells = [(each, *(found.get((each, condition), "-") for condition in conditions)) for each in names]
+    if not rows:
+        return []
+    text = paragraph(
+        f"Settled episodes and median settling time under conditions, {episodes_text(rows)}; one column by",
+        f"`flexman league --agents pd pd-shaped --scenarios {name}/{conditions[0]}`:",
+    )
+    return [*text, "", *markdown_table(("baseline", *(f"`{each}`" for each in conditions)), cells), ""]
 
 
 def _model_error(row: ModelError) -> list[str]:
     """Return the error of the default model in a sentence."""
+    motors = any(not joint.passive for joint in NAMED_ENVIRONMENTS[row.environment].arm.joints)
+    motion = "Random torques of up to half the limits" if motors else f"Swing from up to {SPREAD:g} rad"
     return paragraph(
-        f"Random torques of up to half the limits: model error of the tip at most {length(row.model_largest)} within",
+        f"{motion}: model error of the tip at most {length(row.model_largest)} within",
         f"{DURATION:g} s, {length(row.steps_largest)} by the steps.",
     )
 

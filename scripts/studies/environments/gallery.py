@@ -5,13 +5,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from flexman_gym.common.markdown import markdown_table
-from flexman_gym.envs.config.named_environments import DEFAULT_ID, NAMED_ENVIRONMENTS
+from flexman_gym.envs.config.named_environments import DEFAULT_ID, NAMED_ENVIRONMENTS, condition_names
 from flexman_gym.envs.registration import CONDITION_FOLDER, CONDITIONS, NOMINAL
 from flexman_gym.envs.sensors import SENSOR_NAMES
 from flexman_gym.envs.tasks import TASKS
 from flexman_gym.metrics import BAND, SETTLING_WINDOW, VIBRATION_WINDOW
 from studies.environments.family import ACTION_SECONDS, ARMS, FAMILIES, RECIPE
-from studies.environments.measure import DURATION, FINER, LONG, MOTIONS, SEEDS, Baseline, baselines_of
+from studies.environments.measure import DURATION, FINER, LONG, MOTIONS, SEEDS, SHAPED, Baseline, baselines_of
 from studies.environments.text import (
     docstring_sections,
     episodes_text,
@@ -32,6 +32,7 @@ ARMS_TEXT = {
     "FlexRotary": "strip on a motor driven by its voltage, 0.38 m",
     "FlexCrane": "loader crane with a load on a rope, booms of 3.2 m",
     "FlexTwoMass": "two masses and a spring, horizontal",
+    "FlexGantry": "portal that travels, bridge of 6 m, load on a rope of 4 m",
 }
 TASKS_TEXT = {
     "Slew": "move the tip to a target and stop it there",
@@ -48,7 +49,8 @@ hide:
 {count} environments differ in the arm and in the task. Each is made by `gym.make(id)`;
 `gym.make_vec(id, 256, "vector_entry_point")` simulates 256 arms at once. In each picture the PD controller acts at
 the left and the tracking LQR at the right, on the same episode; the chart below shows the distance of the tip from its
-target. FlexCrane-v0 has joints without motors, which the LQR refuses, and shows the PD alone.
+target. FlexCrane-v0 has joints without motors, which the LQR refuses, and shows the PD alone. FlexGantry-v0 has no
+motor: the portal travels by the PD at the left and by the PD with input shaper at the right.
 """
 
 REPLAY = """## An episode in the browser
@@ -67,7 +69,8 @@ def gallery_page(baselines: Sequence[Baseline]) -> str:
     pages = {name: family.file for family in FAMILIES for name in family.environments}
     for name in NAMED_ENVIRONMENTS:
         link = f"{pages[name]}.md#{name.lower()}"
-        seen = "PD and tracking LQR on the same episode" if "tracking LQR" in baselines_of(name) else "PD"
+        others = [each for each in ("tracking LQR", SHAPED) if each in baselines_of(name)]
+        seen = f"PD and {others[0]} on the same episode" if others else "PD"
         lines += [f"[![{name}: {seen}]({name}.gif)]({link})",
                   f"[**{name}**]({link}): {_task(name)}", ""]  # fmt: skip
     lines += ["</div>", "", *_table(pages, baselines), "", *_definitions(baselines), "", *REPLAY.splitlines(), ""]
@@ -145,16 +148,18 @@ def _task_text(task: type) -> list[str]:
 
 
 def _sensors() -> list[str]:
-    """Return the table of the sensors of FlexRRR-v0."""
+    """Return the table of the sensors of FlexRRR-v0, and of the foundation of FlexGantry-v0."""
     rows = []
     for name in SENSOR_NAMES:
-        slices = make("FlexRRR-v0", sensors=name).sensors.slices
-        size = max(place.stop for place in slices.values())
+        where = "FlexGantry-v0" if name == "foundation" else "FlexRRR-v0"
+        places = make(where, sensors=name).sensors.slices
+        slices = {part: place for part, place in places.items() if name != "foundation" or part.startswith("travel")}
+        size = sum(place.stop - place.start for place in slices.values())
         rows.append((f"`{name}`", size, ", ".join(f"`{part}`" for part in slices)))
     text = paragraph(
         "The agent reads the sensors named by the setting `sensors`, one name or several:",
         '`sensors=("lab", "action")`. A mapping adds flaws to a sensor, for example',
-        '`{"kind": "strain", "noise": 1e-6}`. Sizes are those of FlexRRR-v0.',
+        '`{"kind": "strain", "noise": 1e-6}`. Sizes are those of FlexRRR-v0; `foundation` is one of FlexGantry-v0.',
     )
     return [*text, "", *markdown_table(("name", "entries", "slices"), rows)]
 
@@ -165,7 +170,11 @@ def _conditions() -> list[str]:
     rows = [(f"`{NOMINAL}`", "The environment without changes.")]
     for each in CONDITIONS[1:]:
         path = CONDITION_FOLDER / NAMED_ENVIRONMENTS[DEFAULT_ID].conditions / f"{each}.yaml"
-        rows.append((f"`{each}`", path.read_text(encoding="utf-8").splitlines()[0].removeprefix("# ")))
+        own = [name for name, named in NAMED_ENVIRONMENTS.items() if each in condition_names(name)]
+        if not path.exists():
+            path = CONDITION_FOLDER / NAMED_ENVIRONMENTS[own[0]].conditions / f"{each}.yaml"
+        about = path.read_text(encoding="utf-8").splitlines()[0].removeprefix("# ")
+        rows.append((f"`{each}`", about if path.parent.name != "gantry" else f"{about} Only {', '.join(own)}."))
     text = paragraph(
         'A condition makes an environment harder: `gym.make("FlexRRR-v0", condition="unknown")`, or',
         f"`FlexRRR-v0/unknown` as the environment of a command. {' and '.join(without)} have none.",

@@ -46,6 +46,7 @@ def accuracy(name: str, **arguments: Any) -> Accuracy:
     finest = build_model(setup.arm, **(vars(model.choice) | {"modes": None, "stiffening": True}))
     random, periods = np.random.default_rng(0), round(DURATION / period)
     postures = random.uniform(-SPREAD, SPREAD, (MOTIONS, model.n_joints))
+    postures[:, [joint.passive and joint.stiffness is not None for joint in setup.arm.joints]] = 0.0  # at rest
     levels = random.uniform(-PART, PART, (round(DURATION / HELD), MOTIONS, model.n_joints)) * setup.torque_limit
     drives = np.zeros((MOTIONS, periods, model.n_joints + 6))
     drives[:, :, : model.n_joints] = np.repeat(levels, round(HELD / period), axis=0)[:periods].swapaxes(0, 1)
@@ -70,10 +71,18 @@ BASELINES = {"no torque": "zero", "PD": "pd", "tracking LQR": "lqr-tracking"}
 """Name of a baseline on the pages -> agent. The tracking LQR is given the parameters and the state of the arm."""
 
 
+SHAPED = "PD with input shaper"
+"""Name of the agent pd-shaped, a baseline of environments with a moving foundation."""
+CONDITIONS = ("payload", "unknown", "short-rope", "long-rope")  # of an environment with a moving foundation
+TRAVEL_VIDEO = 12.0, 4.0  # s, 1/s; motion and frames per second in the GIF of an environment with a moving foundation
+
+
 def baselines_of(name: str) -> dict[str, str]:
     """Return the baselines of an environment, name -> agent; the tracking LQR needs a motor at each joint."""
-    passive = any(joint.passive for joint in NAMED_ENVIRONMENTS[name].arm.joints)
-    return {each: agent for each, agent in BASELINES.items() if not passive or each != "tracking LQR"}
+    named = NAMED_ENVIRONMENTS[name]
+    passive = any(joint.passive for joint in named.arm.joints)
+    found = {each: agent for each, agent in BASELINES.items() if not passive or each != "tracking LQR"}
+    return found if named.foundation is None else found | {SHAPED: "pd-shaped"}
 
 
 LONG, LONG_NAME = 30.0, "PD, episodes of 30 s"  # s; horizon in which the PD of FlexRRR-v0 settles; name of its row
@@ -135,6 +144,20 @@ def baseline_rows(name: str, runs: Mapping[str, Rollout]) -> list[Baseline]:
     ]
 
 
+def condition_rows(name: str) -> list[Baseline]:
+    """Return the metrics of PD and PD with input shaper under the CONDITIONS of a moving foundation; [] without one."""
+    if NAMED_ENVIRONMENTS[name].foundation is None:
+        return []
+    agents = {"PD": "pd", SHAPED: "pd-shaped"}
+    return [
+        row
+        for condition in CONDITIONS
+        for row in baseline_rows(
+            f"{name}/{condition}", {each: run(f"{name}/{condition}", agent) for each, agent in agents.items()}
+        )
+    ]
+
+
 def model_error(name: str) -> ModelError:
     """Return the errors of the default model of an environment."""
     each = accuracy(name)
@@ -143,22 +166,31 @@ def model_error(name: str) -> ModelError:
 
 
 def draw(runs: Mapping[str, Rollout], path: Path) -> None:
-    """Plot tip error and torques of an episode of each baseline, and record PD and, if given, tracking LQR as a GIF."""
-    pair = [runs[baseline].episode(0) for baseline in ("PD", "tracking LQR") if baseline in runs]
-    frames = side_by_side(pair, SIZE, RATE, SECONDS, HOLD, suggested_gain(pair))
-    write_video(frames, path.with_suffix(".gif"), RATE)
+    """Plot tip error and commands of an episode of each baseline, and record the best two with a controller as a GIF.
+
+    The commands are the largest torque relative to its limit or, of a moving foundation, its speed relative to the
+    largest.
+    """
+    pair = [runs[baseline].episode(0) for baseline in ("PD", "tracking LQR", SHAPED) if baseline in runs]
+    travel = NAMED_ENVIRONMENTS[path.name].foundation
+    seconds, rate, gain = (SECONDS, RATE, suggested_gain(pair)) if travel is None else (*TRAVEL_VIDEO, 1.0)
+    write_video(side_by_side(pair, SIZE, rate, seconds, HOLD, gain), path.with_suffix(".gif"), rate)
     figure, ((left, right),) = new_chart((7.6, 2.7), columns=2)
-    for baseline, colour in (("no torque", SLATE), ("PD", BLUE), ("tracking LQR", RED)):
+    for baseline, colour in (("no torque", SLATE), ("PD", BLUE), ("tracking LQR", RED), (SHAPED, RED)):
         if baseline not in runs:
             continue
         episode = runs[baseline].episode(0)
         left.semilogy(episode.time, np.maximum(1e3 * episode.errors, LEAST), color=colour, label=baseline)
         if baseline != "no torque":
-            torques = np.abs(episode.actions).max(axis=1)
-            right.plot(episode.time[1:], torques, color=colour, label=baseline)
+            used = np.abs(episode.actions).max(axis=1)
+            if travel is not None:
+                used = np.abs(episode.readings["travel_rate"][1:, 0]) / travel.speed
+            right.plot(episode.time[1:], used, color=colour, label=baseline)
     left.set(xlabel="time (s)", ylabel="tip error (mm)")
-    right.axhline(1.0, color=SLATE, linestyle="--", label="torque limit")
-    right.set(xlabel="time (s)", ylabel="largest torque / its limit", ylim=(0.0, 1.05))
+    limited = "torque" if travel is None else "speed"
+    right.axhline(1.0, color=SLATE, linestyle="--", label=f"{limited} limit")
+    label = "largest torque / its limit" if travel is None else "speed of the portal / its limit"
+    right.set(xlabel="time (s)", ylabel=label, ylim=(0.0, 1.05))
     for axes in (left, right):
         axes.legend(
             frameon=False,

@@ -155,6 +155,12 @@ def baseline_table(name: str, rows: Sequence[Baseline]) -> list[str]:
     return [f"Over {episodes_text(own)}, medians and shares:", "", *_table(name, own)]
 
 
+def settled_text(row: Baseline) -> str:
+    """Return the share of settled episodes and the median settling time, s, as text."""
+    time = f", {row.settling_time:.3g} s" if np.isfinite(row.settling_time) else ""
+    return f"{row.settled:.0%}{time}"
+
+
 def _table(name: str, own: Sequence[Baseline]) -> list[str]:
     if not is_slew(name):
         cells = [(row.baseline, length(row.rms_error), f"{row.failed:.0%}") for row in own]

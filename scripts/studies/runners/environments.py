@@ -16,6 +16,7 @@ from studies.environments.measure import (
     ModelError,
     baseline_rows,
     baselines_of,
+    condition_rows,
     draw,
     model_error,
     run,
@@ -35,6 +36,7 @@ def measure(options: Namespace) -> tuple[list[Baseline], list[ModelError]]:
         draw(runs, options.folder / name)
         baselines += [] if known else baseline_rows(name, runs)
         baselines += baseline_rows(name, {LONG_NAME: run(name, "pd", LONG)}) if name == DEFAULT_ID else []
+        baselines += condition_rows(name)
         errors.append(model_error(name))
     return baselines, errors
 

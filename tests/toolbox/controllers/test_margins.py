@@ -113,7 +113,7 @@ DELAYED = [f"{name}/{each}" for name in ("FlexRRR-v0", "FlexPlanar-v0", "FlexRRR
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [*NAMED_ENVIRONMENTS, *DELAYED])
+@pytest.mark.parametrize("name", sorted({*NAMED_ENVIRONMENTS, *DELAYED} - {"FlexGantry-v0"}))  # no motor
 def test_the_pd_of_every_environment_has_a_gain_margin_of_two_and_a_phase_margin_of_thirty_degrees(name, monkeypatch):
     """At the goals of its first four episodes, with its delay; of random delays up to two periods no gains have it."""
     factors, shifts = GAIN_FACTORS[GAIN_FACTORS < 2.01], PHASE_SHIFTS[PHASE_SHIFTS <= 30.0]  # no more

@@ -227,7 +227,9 @@ def peak_share(path, duration, limits):
 
 
 @pytest.mark.parametrize("law", TIMING_LAWS)
-@pytest.mark.parametrize("name", sorted({*NAMED_ENVIRONMENTS} - {"FlexCrane-v0"}))  # motors at all joints
+@pytest.mark.parametrize(
+    "name", sorted({*NAMED_ENVIRONMENTS} - {"FlexCrane-v0", "FlexGantry-v0"})
+)  # motors at all joints
 def test_a_slew_keeps_to_its_share_of_the_limits_and_takes_all_of_it(name, law):
     setup = Configuration.from_keywords({"name": name})
     model, limits, rng = resolve_fidelity(setup).model, np.array(setup.torque_limit), np.random.default_rng(1)

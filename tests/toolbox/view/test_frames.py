@@ -281,7 +281,8 @@ def test_a_payload_is_a_ball_of_steel_of_its_mass(mass):
     state = model.initial_state((0.4, 0.5, -0.8))
     painter.paint(state)
     bent = fm.curves(model, state, 2)
-    (ball,) = [mesh for mesh, colour in painter._parts(bent.positions, bent.frames, None) if colour == PAYLOAD]
+    parts = painter._parts(bent.positions, bent.frames, None, np.zeros(3))
+    (ball,) = [mesh for mesh, colour in parts if colour == PAYLOAD]
     centre = bent.positions[-1, -1] + bent.frames[-1, -1] @ np.array([0.3, 0.0, 0.1])
     radii = np.linalg.norm(ball.points - centre, axis=1)
     assert 7800.0 * 4.0 / 3.0 * np.pi * radii**3 == pytest.approx(mass)

@@ -34,7 +34,7 @@ from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.batch_integrators import BatchIntegrator
 from flexman_gym.simulation.episode import Episode
 from flexman_gym.simulation.external_simulator import ExternalIntegrator
-from flexman_gym.toolbox.deployment.machine.arm import ROUNDING
+from flexman_gym.toolbox.deployment.machine.arm import ROUNDING, check_fixed
 from flexman_gym.toolbox.deployment.machine.clock import MonotonicClock
 from flexman_gym.toolbox.deployment.machine.machine import (
     HELLO_SECONDS,
@@ -127,6 +127,7 @@ def wanted_quantities(agent: object, environment: "str | Configuration") -> list
 
 def _prepared(spec: AgentSpec, environment: Configuration) -> tuple[AgentSpec, list[str]]:
     """Return the agent designed for an environment with ideal sensors, and the quantities that it needs."""
+    check_fixed(environment)
     spec = spec.designed(environment)
     interface = dict(spec.interface or {})
     mode = interface.get("actions")
