@@ -43,7 +43,8 @@ class FlexManEnv(StatefulEnv, gym.Env[Observation, Observation]):
         FlexCrane-v0   loader crane with two flexible booms and a load on a rope, 100 Hz; hook joints without motors
         FlexTwoMass-v0 benchmark of Wie and Bernstein: two masses and a spring, mass 2 is measured, 50 Hz
         FlexGantry-v0  load on a rope below the flexible bridge of a gantry, whose travel is the action, 50 Hz
-        `envs.NAMED_ENVIRONMENTS` has the settings of each. The last six have the reward "distance" (see `Slew`).
+        FlexDeck-v0    arm with two flexible links on the deck of a ship, holds its load still in the world, 100 Hz
+        `envs.NAMED_ENVIRONMENTS` has the settings of each. The last seven have the reward "distance" (see `Slew`).
 
     Arm
         Three-link arm after Table 1 of the paper, 8.5 m, with flexible links and joints (stiffness 5000 N m/rad),

@@ -73,6 +73,7 @@ ARMS = {
     "FlexCrane": "loader crane, two flexible booms, a load on a rope without motors",
     "FlexTwoMass": "two masses and a spring, mass 2 measured",
     "FlexGantry": "portal that travels, flexible bridge, a load on a rope, no motor",
+    "FlexDeck": "arm on the deck of a ship in a seaway, two flexible links",
 }
 TASKS = {
     "Slew": "move to a target and settle",

@@ -14,7 +14,7 @@ from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.envs.tasks import Slew
 from flexman_gym.scene import catalog
 from flexman_gym.scene.link import Link
-from studies.environments.measure import DURATION, SHAPED, SPREAD, Baseline, ModelError, baselines_of
+from studies.environments.measure import DURATION, SHAPED, SPREAD, Baseline, ModelError, baselines_of, travels
 from studies.environments.text import (
     arm_facts,
     baseline_table,
@@ -117,6 +117,16 @@ FAMILIES = (
         "predicts.",
         ("FlexGantry-v0",),
     ),
+    Family(
+        "FlexDeck",
+        "FlexDeck: an arm on the deck of a ship",
+        "The deck rolls, pitches, yaws and heaves in a seaway of 8 s, a sum of sines of a JONSWAP spectrum drawn for "
+        "each episode, see [moving foundations](../theory.md#moving-foundations). An arm with two flexible links holds "
+        "a load of 10 kg still in the world. In the base frame the target moves; the goals of the motors follow it by "
+        "inverse kinematics, and controllers of moving goals know them in advance. The sensor `foundation` reads roll, "
+        "pitch and yaw (`base_angles`), angular velocity and acceleration of the deck.",
+        ("FlexDeck-v0",),
+    ),
 )
 
 
@@ -150,7 +160,7 @@ def _actions(family: Family) -> list[str]:
     """Return the table of the actions, with the torque limits of each environment."""
     if family.environments == ("FlexRotary-v0",):
         return _voltages(family.environments[0])
-    if NAMED_ENVIRONMENTS[family.environments[0]].foundation is not None:
+    if travels(family.environments[0]):
         return _travel(family.environments[0])
     limits = {
         name: tuple(each for each in make(name).configuration.torque_limit if each) for name in family.environments
@@ -285,7 +295,7 @@ def _environment(name: str, baselines: Sequence[Baseline], errors: Sequence[Mode
     seen = f"PD controller at the left, {others[0]} at the right, tip errors below" if others else "PD controller"
     picture = f"{name}: {seen}"
     controllers = f"with the PD, and with the {others[0]}" if others else "and with the PD"
-    quantity = "largest torque" if named.foundation is None else "speed of the portal"
+    quantity = "speed of the portal" if travels(name) else "largest torque"
     chart = f"{name}: tip error and {quantity} of an episode without torque, {controllers}"
     task = f"Task [{kind}](tasks.md#{kind.lower()}), control period {named.control_period:g} s, episodes of "
     return [

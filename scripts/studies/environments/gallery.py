@@ -33,6 +33,7 @@ ARMS_TEXT = {
     "FlexCrane": "loader crane with a load on a rope, booms of 3.2 m",
     "FlexTwoMass": "two masses and a spring, horizontal",
     "FlexGantry": "portal that travels, bridge of 6 m, load on a rope of 4 m",
+    "FlexDeck": "arm on the deck of a ship in a seaway, 8.5 m",
 }
 TASKS_TEXT = {
     "Slew": "move the tip to a target and stop it there",
@@ -174,7 +175,9 @@ def _conditions() -> list[str]:
         if not path.exists():
             path = CONDITION_FOLDER / NAMED_ENVIRONMENTS[own[0]].conditions / f"{each}.yaml"
         about = path.read_text(encoding="utf-8").splitlines()[0].removeprefix("# ")
-        rows.append((f"`{each}`", about if path.parent.name != "gantry" else f"{about} Only {', '.join(own)}."))
+        rows.append(
+            (f"`{each}`", about if path.parent.name not in ("gantry", "deck") else f"{about} Only {', '.join(own)}.")
+        )
     text = paragraph(
         'A condition makes an environment harder: `gym.make("FlexRRR-v0", condition="unknown")`, or',
         f"`FlexRRR-v0/unknown` as the environment of a command. {' and '.join(without)} have none.",

@@ -72,9 +72,14 @@ BASELINES = {"no torque": "zero", "PD": "pd", "tracking LQR": "lqr-tracking"}
 
 
 SHAPED = "PD with input shaper"
-"""Name of the agent pd-shaped, a baseline of environments with a moving foundation."""
-CONDITIONS = ("payload", "unknown", "short-rope", "long-rope")  # of an environment with a moving foundation
-TRAVEL_VIDEO = 12.0, 4.0  # s, 1/s; motion and frames per second in the GIF of an environment with a moving foundation
+"""Name of the agent pd-shaped, a baseline of environments whose foundation travels."""
+CONDITIONS = ("payload", "unknown", "short-rope", "long-rope")  # of an environment whose foundation travels
+TRAVEL_VIDEO = 12.0, 4.0  # s, 1/s; motion and frames per second in the GIF of an environment whose foundation travels
+
+
+def travels(name: str) -> bool:
+    """Return True for an environment whose foundation the agent commands."""
+    return bool(getattr(NAMED_ENVIRONMENTS[name].foundation, "names", ()))
 
 
 def baselines_of(name: str) -> dict[str, str]:
@@ -82,7 +87,7 @@ def baselines_of(name: str) -> dict[str, str]:
     named = NAMED_ENVIRONMENTS[name]
     passive = any(joint.passive for joint in named.arm.joints)
     found = {each: agent for each, agent in BASELINES.items() if not passive or each != "tracking LQR"}
-    return found if named.foundation is None else found | {SHAPED: "pd-shaped"}
+    return found | {SHAPED: "pd-shaped"} if travels(name) else found
 
 
 LONG, LONG_NAME = 30.0, "PD, episodes of 30 s"  # s; horizon in which the PD of FlexRRR-v0 settles; name of its row
@@ -145,8 +150,8 @@ def baseline_rows(name: str, runs: Mapping[str, Rollout]) -> list[Baseline]:
 
 
 def condition_rows(name: str) -> list[Baseline]:
-    """Return the metrics of PD and PD with input shaper under the CONDITIONS of a moving foundation; [] without one."""
-    if NAMED_ENVIRONMENTS[name].foundation is None:
+    """Return the metrics of PD and PD with input shaper under CONDITIONS; [] for a foundation that does not travel."""
+    if not travels(name):
         return []
     agents = {"PD": "pd", SHAPED: "pd-shaped"}
     return [
@@ -172,7 +177,7 @@ def draw(runs: Mapping[str, Rollout], path: Path) -> None:
     largest.
     """
     pair = [runs[baseline].episode(0) for baseline in ("PD", "tracking LQR", SHAPED) if baseline in runs]
-    travel = NAMED_ENVIRONMENTS[path.name].foundation
+    travel = NAMED_ENVIRONMENTS[path.name].foundation if travels(path.name) else None
     seconds, rate, gain = (SECONDS, RATE, suggested_gain(pair)) if travel is None else (*TRAVEL_VIDEO, 1.0)
     write_video(side_by_side(pair, SIZE, rate, seconds, HOLD, gain), path.with_suffix(".gif"), rate)
     figure, ((left, right),) = new_chart((7.6, 2.7), columns=2)
