@@ -69,8 +69,9 @@ matrices of a chain of masses. {computed} of {of_computed} agree within 0.5 %, c
 ## Two masses and a spring
 
 `FlexTwoMass-v0` is the benchmark of Wie and Bernstein: two masses of 1 on a spring between 0.5 and 2, a torque of at
-most 1 on mass 1, and the position of mass 2 as the only measurement. As in Stengel and Marrison (1992), whose table
-could not be read, each number is a share of 1,000 random springs, uniform in the range:
+most 1 on mass 1, and the position of mass 2 as the only measurement. Stengel and Marrison (1992) compare controllers by
+such probabilities; their article was not available, and the definitions are our own. Each number is a share of 1,000
+random springs, uniform in the range:
 
 - unstable: an eigenvalue of the sampled closed loop is not inside the unit circle;
 - slow: unstable, or mass 2 is beyond 0.1 later than 15 s after a unit impulse on it;

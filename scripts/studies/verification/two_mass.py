@@ -1,8 +1,9 @@
 """Benchmark of Wie and Bernstein: probabilities of instability, slow settling and saturation over random springs.
 
-As in Stengel and Marrison, "Robustness of solutions to a benchmark control problem", J. Guidance, Control, and Dynamics
-15 (1992), the probabilities are shares of random springs. The loops are linear: their torques are not limited, and a
-torque beyond the limit counts as saturation. A loop that is not stable counts as slow, too.
+Such probabilities are those of Stengel and Marrison, "Robustness of solutions to a benchmark control problem", J.
+Guidance, Control, and Dynamics 15 (1992); the definitions are our own. They are shares of random springs. The loops are
+linear: their torques are not limited, and a torque beyond the limit counts as saturation. A loop that is not stable
+counts as slow, too.
 """
 
 from collections.abc import Iterator, Sequence
