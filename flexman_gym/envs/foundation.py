@@ -71,3 +71,23 @@ def find_foundation(value: object) -> Any:
 def plain_foundation(value: Any) -> dict[str, Any] | None:
     """Return a foundation, or None, as JSON-compatible data, from which `find_foundation` makes an equal one."""
     return None if value is None else {"kind": value.kind, **asdict(value)}
+
+
+def check_foundation(settings: Any, passive: bool) -> None:
+    """Check what a moving foundation excludes.
+
+    Args:
+        settings: object with the settings foundation, safety and task of an environment.
+        passive: True for an arm with passive joints.
+
+    Raises:
+        ValueError: for a setting that is not allowed.
+    """
+    if settings.foundation is None:
+        return
+    if settings.safety:
+        raise value_error("safety", settings.safety, "False: the foundation of the arm moves")
+    if settings.task.moves:
+        raise value_error("task", settings.task, "a task whose goal rests: the foundation of the arm moves")
+    if settings.foundation.rotates and passive:
+        raise value_error("foundation", settings.foundation, "one that does not rotate: a joint of the arm is passive")

@@ -94,10 +94,7 @@ class FlexManVectorEnv(StatefulEnv, VectorEnv[Observations, Array, Any]):
         given = num_envs, threads, max_episode_steps, autoreset_mode, infos, seed_stride, render_mode, *rendering
         self._arguments = dict(zip(OWN_KEYWORDS, given, strict=True)) | settings
         configuration = Configuration.from_keywords(settings, OWN_KEYWORDS)
-        model, method, step, self.choice = resolve_fidelity(configuration)
-        period = configuration.control_period
-        rotates = configuration.rotates
-        self.batch = Batch(model, method, step, period, arms=num_envs, threads=threads, rotates=rotates)
+        self.batch, self.choice = _make_batch(configuration, self.num_envs, threads)
         self.configuration, self.task = configuration, configuration.task
         self.torque_limit = np.array(configuration.torque_limit)
         self.episodes = Episodes(configuration, self.batch)
@@ -112,7 +109,10 @@ class FlexManVectorEnv(StatefulEnv, VectorEnv[Observations, Array, Any]):
         size = len(self.episodes.agent.mode.names)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self.metadata = self.metadata | {"autoreset_mode": self.autoreset_mode, "render_fps": round(1 / period)}
+        self.metadata = self.metadata | {
+            "autoreset_mode": self.autoreset_mode,
+            "render_fps": round(1 / configuration.control_period),
+        }
         self._action_shape, self._allowed_actions = (num_envs, size), f"{num_envs} rows of {size} numbers from -1 to 1"
         self._randoms: list[np.random.Generator | None] = [None] * num_envs
         self._seeds = [-1] * num_envs
@@ -304,3 +304,10 @@ def compile_kernels() -> None:
         for env in (gym.make("FlexRRR-v0"), gym.make_vec("FlexRRR-v0", 2, "vector_entry_point")):
             env.reset(seed=0)
             env.step(env.action_space.sample())
+
+
+def _make_batch(configuration: Configuration, arms: int, threads: int) -> tuple[Batch, Any]:
+    """Return the simulated arms of an environment, and the choice of the model, see `resolve_fidelity`."""
+    model, method, step, choice = resolve_fidelity(configuration)
+    period, rotates = configuration.control_period, configuration.rotates
+    return Batch(model, method, step, period, arms=arms, threads=threads, rotates=rotates), choice

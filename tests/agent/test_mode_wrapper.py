@@ -26,6 +26,7 @@ class Full:
 
     joints, names, sensors, state_fields = 1, ("torque_1",), ("motor_encoders",), ("count",)
     strength, observation_sizes, gain_units = 0.5, {"clock": 1}, {"stiffness": "N m/rad"}
+    commands = (0.1,)
 
     def __init__(self):
         self.count, self.calls = 0, []

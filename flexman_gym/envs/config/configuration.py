@@ -20,6 +20,7 @@ from flexman_gym.envs.config.named_environments import (
 )
 from flexman_gym.envs.config.randomisation import Randomisation
 from flexman_gym.envs.config.settings import AUTO_SETTINGS, SETTINGS, EnvironmentSettings
+from flexman_gym.envs.foundation import check_foundation
 from flexman_gym.envs.limits import Limits
 from flexman_gym.envs.registration import NOMINAL
 from flexman_gym.envs.tasks import Slew
@@ -113,18 +114,8 @@ class Configuration(EnvironmentSettings):
                 raise value_error("safety", self.safety, f"False{because}")
             if isinstance(self.actions, str | dict) and self.actions != "torque":  # an object is the user's own
                 raise value_error("actions", self.actions, f"'torque'{because}")
-        if self.foundation is not None:
-            self._check_foundation(any(passive))
+        check_foundation(self, any(passive))
         vars(self)["torque_limit"] = arm_torque_limits(self.arm, self.torque_limit)
-
-    def _check_foundation(self, passive: bool) -> None:
-        """Check what a moving foundation excludes, for an arm with or without passive joints."""
-        if self.safety:
-            raise value_error("safety", self.safety, "False: the foundation of the arm moves")
-        if self.task.moves:
-            raise value_error("task", self.task, "a task whose goal rests: the foundation of the arm moves")
-        if self.foundation.rotates and passive:
-            raise value_error("foundation", self.foundation, "one that does not rotate: a joint of the arm is passive")
 
     def _derive_settings(self) -> dict[str, Any]:
         """Return the missing settings that follow from an arm of the user."""

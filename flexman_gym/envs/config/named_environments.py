@@ -7,7 +7,6 @@ from typing import Any, Self
 from flexman_gym.common import files
 from flexman_gym.common.checks import mapping, one_of
 from flexman_gym.common.errors import value_error
-from flexman_gym.envs.foundation import find_foundation, plain_foundation
 from flexman_gym.envs.limits import Limits
 from flexman_gym.envs.registration import CONDITION_FOLDER, ENVIRONMENT_FOLDER, IDS, NOMINAL
 from flexman_gym.envs.tasks import Slew, Task, find_task, plain_task
@@ -35,7 +34,7 @@ class _NamedEnvironment:
         longest_step: longest step of the default method, s; random torques then cause no energy alarm.
         conditions: name of the folder with the conditions of the environment; "" for an environment without conditions.
         actions: see `Configuration`.
-        foundation: see `Configuration`.
+        foundation: see `Configuration`, as a mapping: its kind is a feature, which is loaded where it is used.
         usual_payload: payload to which those of the conditions refer for an arm of the user, kg.
         study: arguments of `Limits` for the setting limits="study"; {} for an environment without them.
     """
@@ -51,7 +50,7 @@ class _NamedEnvironment:
     longest_step: float = 0.02 / 3.0
     conditions: str = ""
     actions: Any = "torque"
-    foundation: Any = None
+    foundation: dict[str, Any] | None = None
     usual_payload: float = 1.0
     study: dict[str, Any] = field(default_factory=dict)
 
@@ -74,12 +73,7 @@ class _NamedEnvironment:
             data = mapping("environment", _read(path), [each.name for each in fields(cls)])
             if not {"arm", "pd"} <= data.keys():
                 raise value_error("environment", sorted(data), "a mapping with arm and pd")
-            for name, build in {
-                "arm": _arm,
-                "task": find_task,
-                "limits": Limits.find,
-                "foundation": find_foundation,
-            }.items():
+            for name, build in {"arm": _arm, "task": find_task, "limits": Limits.find}.items():
                 if name in data:
                     data[name] = build(data[name])
             gains = {name: tuple(values) for name, values in data.pop("pd").items()}
@@ -89,12 +83,11 @@ class _NamedEnvironment:
             raise ValueError(f"{path.name}: {error}") from None
 
     def plain(self, name: str) -> Any:
-        """Return the JSON-compatible data of arm, task or limits; {} for any other setting."""
-        forms = {
-            "arm": to_plain, "task": plain_task, "limits": Limits.to_plain, "foundation": plain_foundation,
-        }  # fmt: skip
-        value = getattr(self, name, None)
-        return {} if name not in forms or value is None else forms[name](value)
+        """Return the JSON-compatible data of arm, task, limits or foundation; {} for any other setting."""
+        if name == "foundation":
+            return dict(self.foundation or {})
+        forms = {"arm": to_plain, "task": plain_task, "limits": Limits.to_plain}
+        return forms[name](getattr(self, name)) if name in forms else {}
 
 
 def _read(path: Path) -> dict[str, Any]:

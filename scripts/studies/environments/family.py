@@ -11,6 +11,7 @@ import numpy as np
 from flexman_gym.common import files
 from flexman_gym.common.markdown import markdown_table
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
+from flexman_gym.envs.foundation import find_foundation
 from flexman_gym.envs.tasks import Slew
 from flexman_gym.scene import catalog
 from flexman_gym.scene.link import Link
@@ -179,7 +180,7 @@ def _actions(family: Family) -> list[str]:
 def _travel(name: str) -> list[str]:
     """Return the table of the action of an environment whose only command is the travel of the foundation."""
     named = NAMED_ENVIRONMENTS[name]
-    servo = named.foundation
+    servo = find_foundation(named.foundation)
     rows = [(0, "`travel`: velocity of the portal / its limit", "-1 to 1", f"{servo.speed:g} m/s")]
     text = paragraph(
         "A stiff servo accelerates the portal uniformly in a control period,",

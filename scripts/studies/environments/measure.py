@@ -13,6 +13,7 @@ from flexman_gym.common.arrays import Array
 from flexman_gym.common.plot_style import BLUE, RED, SLATE, save_figure
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
+from flexman_gym.envs.foundation import find_foundation
 from flexman_gym.evaluation.metrics import METRICS
 from flexman_gym.evaluation.rollouts import TEST_SEEDS, Rollout, rollout
 from flexman_gym.kernels import layout
@@ -79,7 +80,7 @@ TRAVEL_VIDEO = 12.0, 4.0  # s, 1/s; motion and frames per second in the GIF of a
 
 def travels(name: str) -> bool:
     """Return True for an environment whose foundation the agent commands."""
-    return bool(getattr(NAMED_ENVIRONMENTS[name].foundation, "names", ()))
+    return (NAMED_ENVIRONMENTS[name].foundation or {}).get("kind") == "travel"
 
 
 def baselines_of(name: str) -> dict[str, str]:
@@ -177,7 +178,7 @@ def draw(runs: Mapping[str, Rollout], path: Path) -> None:
     largest.
     """
     pair = [runs[baseline].episode(0) for baseline in ("PD", "tracking LQR", SHAPED) if baseline in runs]
-    travel = NAMED_ENVIRONMENTS[path.name].foundation if travels(path.name) else None
+    travel = find_foundation(NAMED_ENVIRONMENTS[path.name].foundation) if travels(path.name) else None
     seconds, rate, gain = (SECONDS, RATE, suggested_gain(pair)) if travel is None else (*TRAVEL_VIDEO, 1.0)
     write_video(side_by_side(pair, SIZE, rate, seconds, HOLD, gain), path.with_suffix(".gif"), rate)
     figure, ((left, right),) = new_chart((7.6, 2.7), columns=2)
