@@ -106,13 +106,11 @@ class FlexManVectorEnv(StatefulEnv, VectorEnv[Observations, Array, Any]):
         self.max_episode_steps = -(-self.episodes.max_periods // configuration.action_repeat)
         self.sensors = self.episodes.sensors
         self.single_observation_space, self.single_action_space = self.episodes.make_spaces()
-        size = len(self.episodes.agent.mode.names)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self.metadata = self.metadata | {
-            "autoreset_mode": self.autoreset_mode,
-            "render_fps": round(1 / configuration.control_period),
-        }
+        rate = round(1 / configuration.control_period)
+        self.metadata = self.metadata | {"autoreset_mode": self.autoreset_mode, "render_fps": rate}
+        size = len(self.episodes.agent.mode.names)
         self._action_shape, self._allowed_actions = (num_envs, size), f"{num_envs} rows of {size} numbers from -1 to 1"
         self._randoms: list[np.random.Generator | None] = [None] * num_envs
         self._seeds = [-1] * num_envs
