@@ -87,6 +87,8 @@ has its stationary gain (`fixed`).
 The H-infinity controller that is designed for the range with these weights has the smallest shares. To choose it:
 
 ```python
+import flexman_gym as fm
+
 agent = {{"kind": "hinf", "weights": {{"tip": 3.0, "tip_speed": 2.0, "motor": 3.0}}}}
 result = fm.evaluate(agent, "FlexTwoMass-v0/stiffness", range(3))
 ```
