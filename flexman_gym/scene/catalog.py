@@ -61,9 +61,9 @@ flexarm_rome = named_arm("flexarm_rome")
 de_luca_siciliano = named_arm("de_luca_siciliano")
 """Two-link arm of De Luca and Siciliano."""
 deck_arm = named_arm("deck_arm")
-"""Arm on the deck of a ship: three joints, two flexible links of 4 m and 3.5 m, bent at zero joint angles."""
+"""Arm on the deck of a ship: the links of the paper's arm, its boom raised by 60 degrees and its jib lowered by 30."""
 gantry = named_arm("gantry")
-"""Cantilever bridge on the portal of a gantry crane, with a load on a rope; its portal travels."""
+"""Cantilever bridge on the portal of a gantry crane, with a load that hangs from a universal joint at its tip."""
 gifu_2link = named_arm("gifu_2link")
 """Arm of Gifu University: three joints, two flexible rods of 0.44 m."""
 nasa_beam = named_arm("nasa_beam")
@@ -83,7 +83,7 @@ rome_elastic_joint = named_arm("rome_elastic_joint")
 wernholt_2006 = named_arm("wernholt_2006")
 """Axis of an industrial robot identified by Wernholt and Gunnarsson: motor, gear and arm in a chain, motor side."""
 loader_crane = named_arm("loader_crane")
-"""Small loader crane: two flexible booms of 1.6 m on elastic drives, and a load on a rope from a universal joint."""
+"""Small loader crane: slewing column, two flexible booms on elastic drives, and a load that hangs from a universal joint."""
 two_mass = named_arm("two_mass")
 """Two masses and a spring, the benchmark of Wie and Bernstein: rotor and rigid link on a joint spring."""
 TOOL = Payload(0.1)
