@@ -83,7 +83,7 @@ rome_elastic_joint = named_arm("rome_elastic_joint")
 wernholt_2006 = named_arm("wernholt_2006")
 """Axis of an industrial robot identified by Wernholt and Gunnarsson: motor, gear and arm in a chain, motor side."""
 loader_crane = named_arm("loader_crane")
-"""Small loader crane: slewing column, two flexible booms on elastic drives, and a load that hangs from a universal joint."""
+"""Small loader crane: slewing column, two flexible booms on elastic drives, and a load on a universal joint."""
 two_mass = named_arm("two_mass")
 """Two masses and a spring, the benchmark of Wie and Bernstein: rotor and rigid link on a joint spring."""
 TOOL = Payload(0.1)
