@@ -163,7 +163,7 @@ def _proposed(study: Any, number: int, over: Mapping[str, Any], seed: int) -> di
     result = {}
     for i, (path, span) in enumerate(over.items()):
         own = int(np.random.SeedSequence([seed, number, i]).generate_state(1)[0])
-        trial.study.sampler = _optuna().samplers.TPESampler(seed=own)
+        study.sampler = _optuna().samplers.TPESampler(seed=own)
         if "choices" in span:
             result[path] = trial.suggest_categorical(path, span["choices"])
         else:

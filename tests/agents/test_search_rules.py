@@ -90,7 +90,7 @@ def ran(monkeypatch, tmp_path, study, rewards):
     monkeypatch.setattr(module, "_study", lambda folder: study)
     monkeypatch.setattr(module, "_trial", lambda study, number: study)
     monkeypatch.setattr(module, "train_or_resume", trained)
-    monkeypatch.setattr(module, "_proposed", lambda study, number, over: {})
+    monkeypatch.setattr(module, "_proposed", lambda study, number, over, seed: {})
     monkeypatch.setattr(module, "_keep_best", lambda study, recipe, folder: folder)
     monkeypatch.setattr(module, "parallel_map_unordered", lambda run, cells, *_, **__: [run(each) for each in cells])
     search(RECIPE, OVER, tmp_path, 1)
@@ -127,17 +127,28 @@ def test_an_evaluation_is_reported_once(optuna, monkeypatch, tmp_path):
 
 @pytest.mark.parametrize(("asked", "every"), [(0, RECIPE.steps // 10), (48, 48)])
 def test_trials_are_compared_ten_times_where_the_recipe_does_not_say(asked, every, optuna, monkeypatch, tmp_path):
-    proposed = lambda study, number, over: {"hyperparameters.gamma": 0.7}  # noqa: E731
+    proposed = lambda study, number, over, seed: {"hyperparameters.gamma": 0.7}  # noqa: E731
     ((settings, _, number),) = searched(monkeypatch, tmp_path, replace(RECIPE, eval_every=asked), _proposed=proposed)
     assert (settings.eval_every, settings.hyperparameters["gamma"], number) == (every, 0.7, 0)
 
 
-def test_every_trial_is_proposed_by_a_seed_of_its_own(optuna, monkeypatch, tmp_path):
-    """As often as it was asked for, though several are at work at once; else the first ones would be alike."""
+def test_every_value_is_drawn_by_a_seed_of_its_own(optuna, monkeypatch, tmp_path):
+    """However often it is asked for, though several trials are at work at once; else the first ones would be alike."""
     seeds = []
-    proposed = lambda study, number, over: seeds.append(study.sampler) or {}  # noqa: E731
-    cells = searched(monkeypatch, tmp_path, trials=3, workers=2, seed=7, _proposed=proposed)
-    assert len(cells) == 3 and list(dict.fromkeys(seeds)) == [7, 8, 9]
+
+    class Trial:
+        def __init__(self, study, number):
+            self.study, self.number = study, number
+
+        def suggest_float(self, path, low, high, log):
+            seeds.append((self.number, path, self.study.sampler))
+            return low
+
+    over = OVER | {"hyperparameters.learning_rate": {"low": 1e-5, "high": 1.0, "log": True}}
+    cells = searched(monkeypatch, tmp_path, over=over, trials=3, workers=2, seed=7, _trial=Trial)
+    drawn = {(number, path): seed for number, path, seed in seeds}
+    assert len(cells) == 3 and len(set(drawn.values())) == len(drawn) == 6
+    assert {*seeds} == {(*place, seed) for place, seed in drawn.items()}  # a second call has the same seed
 
 
 def test_the_best_trial_becomes_a_recipe(optuna, monkeypatch, tmp_path):
@@ -189,7 +200,7 @@ def test_ends_between_which_nothing_lies_are_refused(ends, tmp_path):
 
 def test_a_setting_is_a_path_of_the_names_above_it(optuna, monkeypatch, tmp_path):
     ranges = []
-    proposed = lambda study, number, over: ranges.append(over) or {}  # noqa: E731
+    proposed = lambda study, number, over, seed: ranges.append(over) or {}  # noqa: E731
     over = {"hyperparameters": {"gamma": {"low": 0.5, "high": 0.9}}, "envs": {"choices": [2, 3]}}
     searched(monkeypatch, tmp_path, over=over, _proposed=proposed)
     assert ranges[0] == {"hyperparameters.gamma": {"low": 0.5, "high": 0.9}, "envs": {"choices": [2, 3]}}

@@ -104,7 +104,7 @@ FAMILIES = (
         "is a spring of 1 N m/rad between 0.5 and 2, and the torque is at most 1 N m. Only the position of mass 2, the "
         "angle of the link, is measured. `lqg` and `hinf` are designed with this sensor. A PD of the angle of mass 2 "
         "does not stabilise the masses, so that `pd` reads the encoder of the motor, which the benchmark lacks. "
-        "[Probabilities of instability](../evidence/papers.md#two-masses-and-a-spring) for random springs.",
+        "[Probabilities of instability](../evidence/two_masses.md) for random springs.",
         ("FlexTwoMass-v0",),
     ),
     Family(
@@ -112,7 +112,7 @@ FAMILIES = (
         "FlexGantry: a portal that travels with a load on a rope",
         "The portal of a gantry crane travels on rails, a flexible bridge of 6 m stands out from it, and a load of "
         "500 kg hangs from a rope of 4 m at the tip of the bridge. No joint has a motor: the only command is the "
-        "travel of the portal, see [moving foundations](../theory.md#moving-foundations). The load is the tip of the "
+        "travel of the portal, see [foundations](../moving_foundations.md). The load is the tip of the "
         "arm, so that its swing, 4.1 s a period, is part of the tip error. With a rigid bridge it is the trolley and "
         "pendulum of textbooks, on which ZV shaping (Singer and Seering, 1990) leaves the residual that theory "
         "predicts.",
@@ -122,7 +122,7 @@ FAMILIES = (
         "FlexDeck",
         "FlexDeck: an arm on the deck of a ship",
         "The deck rolls, pitches, yaws and heaves in a seaway of 8 s, a sum of sines of a JONSWAP spectrum drawn for "
-        "each episode, see [moving foundations](../theory.md#moving-foundations). An arm with two flexible links holds "
+        "each episode, see [foundations](../moving_foundations.md). An arm with two flexible links holds "
         "a load of 10 kg still in the world. In the base frame the target moves; the goals of the motors follow it by "
         "inverse kinematics, and controllers of moving goals know them in advance. The sensor `foundation` reads roll, "
         "pitch and yaw (`base_angles`), angular velocity and acceleration of the deck.",

@@ -8,6 +8,7 @@ from flexman_gym.toolbox.verification.table import VerificationRow, Verification
 from studies.study import QUICK, Study, Table
 from studies.verification.motions import REFERENCE, rows
 from studies.verification.page import page
+from studies.verification.papers import masses_page
 from studies.verification.papers import page as page_of_papers
 from studies.verification.two_mass import DRAWS, QUICK_DRAWS, TwoMassRow, two_mass_rows
 
@@ -38,7 +39,8 @@ RUNNER = Study(
         "verification.md": lambda rows, _, __, ___, files: page(
             VerificationTable(rows), {"verification.csv": files["verification.csv"]}
         ),
-        "papers.md": lambda _, printed, computed, masses, __: page_of_papers(printed, computed, masses),
+        "papers.md": lambda _, printed, computed, __, ___: page_of_papers(printed, computed),
+        "two_masses.md": lambda _, __, ___, masses, ____: masses_page(masses),
     },
     report=report,
     options=QUICK,

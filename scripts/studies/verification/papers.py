@@ -65,8 +65,9 @@ matrices of a chain of masses. {computed} of {of_computed} agree within 0.5 %, c
 {second}
 
 {more}
+"""
 
-## Two masses and a spring
+MASSES = """# Two masses and a spring
 
 `FlexTwoMass-v0` is the benchmark of Wie and Bernstein: two masses of 1 on a spring between 0.5 and 2, a torque of at
 most 1 on mass 1, and the position of mass 2 as the only measurement. Stengel and Marrison (1992) compare controllers by
@@ -95,12 +96,17 @@ result = fm.evaluate(agent, "FlexTwoMass-v0/stiffness", range(3))
 """
 
 
-def page(printed: Sequence[VerificationRow], computed: Sequence[VerificationRow], masses: Sequence[TwoMassRow]) -> str:
+def masses_page(masses: Sequence[TwoMassRow]) -> str:
+    """Return the page of the benchmark of two masses as Markdown."""
+    return MASSES.format(masses=two_mass_table(masses))
+
+
+def page(printed: Sequence[VerificationRow], computed: Sequence[VerificationRow]) -> str:
     """Return the page as Markdown."""
     return PAGE.format(
         printed=_passed(printed), of_printed=sum(row.verdict != SHOWN for row in printed), first=_table(printed),
         reasons=_reasons(printed), computed=_passed(computed), of_computed=len(computed), second=_table(computed),
-        more=_reasons(computed), masses=two_mass_table(masses),
+        more=_reasons(computed),
     )  # fmt: skip
 
 
