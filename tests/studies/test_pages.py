@@ -15,7 +15,7 @@ from oracles.files import ROOT, STUDIES, runner
 pytestmark = pytest.mark.evidence
 
 EVIDENCE, KNOWN = ROOT / "docs" / "evidence", studies()
-LISTS = ("control", "index", "papers")  # pages of more than one screen
+LISTS = ("control", "index", "papers", "two_masses")  # pages of more than one screen, and a part of papers
 SCREENS = [path.stem for path in sorted(EVIDENCE.glob("*.md")) if path.stem not in LISTS]
 WORDS, TABLE_ROWS, CHARTS = 250, 8, 1  # limits of a page of one screen
 
