@@ -27,6 +27,7 @@ from flexman_gym.common.run_folder import NEWEST, write_npz
 from flexman_gym.envs.config.base_and_mode import make_base_and_mode
 from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.envs.config.plant import make_plant
+from flexman_gym.envs.foundation import check_fixed
 from flexman_gym.evaluation.agent_spec import AgentSpec, split_interface
 from flexman_gym.evaluation.rollouts import Rollout, rollout, training_seed
 from flexman_gym.evaluation.trained_agents import observation_layout
@@ -142,8 +143,7 @@ class DAgger:
         self._optimizer = torch.optim.Adam(self._layers.parameters(), fused=True)
         average = get_ema_multi_avg_fn(EMA_DECAY)  # type: ignore[no-untyped-call]
         self._averaged = AveragedModel(self._layers, multi_avg_fn=average)
-        if environment.foundation is not None:
-            raise value_error("foundation", "travel", "None: the torques of the teacher are imitated, not its travel")
+        check_fixed(environment.foundation, "the torques of the teacher are imitated, not its travel")
         model = resolve_fidelity(environment).model
         mode = make_base_and_mode(environment, model)[1]
         strength = _strength(mode)  # checked before the teacher, whose design may take long

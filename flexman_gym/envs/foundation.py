@@ -73,6 +73,12 @@ def plain_foundation(value: Any) -> dict[str, Any] | None:
     return None if value is None else {"kind": value.kind, **asdict(value)}
 
 
+def check_fixed(foundation: Any, reason: str) -> None:
+    """Raise ValueError for a foundation that moves, with the reason why it is not allowed."""
+    if foundation is not None:
+        raise value_error("foundation", foundation.kind, f"None: {reason}")
+
+
 def check_foundation(settings: Any, passive: bool) -> None:
     """Check what a moving foundation excludes.
 

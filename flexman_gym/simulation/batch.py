@@ -95,7 +95,7 @@ class Batch:
         joints = _joints(prescribed, n)
         fixed = None if step is None else self.control_period / self.substeps
         tolerance = find_tolerance(self.method, fixed, rtol, atol)
-        self._bound = tolerance, joints, rotates
+        self._bound, self._rotates = (tolerance, joints, rotates), rotates
         self.foundation = np.zeros((count, layout.FOUNDATION if rotates else 0))
         self._past_foundation = self.foundation.copy()  # rows of the last control period
         if rotates:
@@ -138,8 +138,7 @@ class Batch:
         self._periods[arms] = self._drive[arms] = 0.0
         self._past_foundation[arms] = self.foundation[arms]
         self._past_foundation[arms, 1:2] = 0.0  # tip accelerations are those at the start
-        foundation = (self.foundation,) if self.foundation.shape[1] else ()
-        self._mover.compute_outputs(arms, self.rows, self.outputs, *foundation)
+        self._mover.compute_outputs(arms, self.rows, self.outputs, self.foundation)
         energy = np.empty(len(self.rows))
         outputs.total_energies(self.outputs, energy)
         self.start_energy[arms], self.energy_turnover[arms] = energy[arms], 0.0
@@ -165,7 +164,7 @@ class Batch:
             moving: (b,) flags of the arms to integrate; None for all.
         """
         inputs = self._with_foundation(drive, self.foundation)
-        if self.foundation.shape[1]:
+        if self._rotates:
             self._past_foundation[:] = self.foundation
         if moving is None:
             status = self.status
@@ -177,10 +176,9 @@ class Batch:
         self._known = False
         close_period(self.rows, self.outputs, status, drive, self._periods, self._drive, self.energy_turnover)
 
-    @staticmethod
-    def _with_foundation(drive: Array, foundation: Array) -> Array:
+    def _with_foundation(self, drive: Array, foundation: Array) -> Array:
         """Return inputs (b, n + 6) with the foundation rows of rotating bases."""
-        return np.hstack([drive, foundation]) if foundation.shape[1] else drive
+        return np.hstack([drive, foundation]) if self._rotates else drive
 
     def period_arrays(self) -> dict[str, Any]:
         """Return the arrays that `step` changes by their names in `kernels.layout.Period`."""
@@ -196,7 +194,7 @@ class Batch:
             drive: (1, n + 6) as in `step`.
             period: arrays of the environment, among them the drive and `period_arrays`; they must stay alive.
         """
-        if not isinstance(self._mover, LaneIntegrator) or self.foundation.shape[1]:
+        if not isinstance(self._mover, LaneIntegrator) or self._rotates:
             return None
         self._bound_mover = self._mover
         return self._mover.single_arguments(drive, self.rows, self.outputs, self.status, period)
@@ -232,7 +230,7 @@ class Batch:
             States (b, T, 2 d) and outputs (b, T, OUTPUTS) after each control period; NaN from the period in which an
             arm failed.
         """
-        if self.foundation.shape[1]:
+        if self._rotates:
             raise value_error("rotates", True, "False: several control periods at once need bases that do not rotate")
         count, periods = drives.shape[:2]
         rows, read = (np.full((count, periods, each.shape[1]), np.nan) for each in (self.rows, self.outputs))
@@ -321,7 +319,7 @@ class Batch:
         Raises:
             ValueError: for bases that rotate.
         """
-        if self.foundation.shape[1]:
+        if self._rotates:
             raise value_error("rotates", True, "False: another simulation of the arms needs bases that do not rotate")
         self._mover = make(self._mover)
 

@@ -21,6 +21,7 @@ from flexman_gym.envs.config.base_and_mode import make_base_and_mode
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.envs.episodes import Episodes, goal_path
+from flexman_gym.envs.foundation import check_fixed
 from flexman_gym.envs.sensors import find_sensors
 from flexman_gym.evaluation.agent_spec import AgentSpec
 from flexman_gym.evaluation.agents import common_environment, find_agent
@@ -136,8 +137,7 @@ def begin_agent(name: object, environment: str = "", seed: int = TEST_SEEDS[0], 
     bare = common_environment([spec], Configuration.find(environment) if environment else None)
     if bare.safety:
         raise value_error("safety", True, "False: the safety filter cannot be exported")
-    if bare.foundation is not None:
-        raise value_error("foundation", "travel", "None: only torques of the motors can be exported")
+    check_fixed(bare.foundation, "only torques of the motors can be exported")
     interface = dict(spec.interface or {})
     base: Any = interface.get("base")
     if isinstance(base, str | dict):

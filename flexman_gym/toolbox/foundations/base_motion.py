@@ -1,6 +1,7 @@
 """Prescribed motion of the base of an arm, such as that of a deck in a seaway, and targets that rest in the world."""
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -29,8 +30,48 @@ FRAMES = ("world", "base")  # frames in which a target may rest
 SMALLEST_BOUND = 1e-6  # rad, m, and per s and s^2; of the readings of a motion that is zero
 
 
+class PrescribedMotion(ABC):
+    """Base class of the settings of a prescribed motion of the base; an agent does not command it."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the entries of an action: none."""
+        return ()
+
+    @property
+    def rotates(self) -> bool:
+        """True: the base may turn."""
+        return True
+
+    @property
+    @abstractmethod
+    def largest(self) -> Array:
+        """Bounds (3, 6) of the motions, their rates and their accelerations."""
+
+    @property
+    def range(self) -> float:
+        """Largest distance of the base from its origin, m."""
+        return float(np.linalg.norm(self.largest[0, :3]))
+
+    def make_mode(self, mode: ActionMode, base: Controller | None) -> ActionMode:
+        """Return the action mode itself."""
+        return mode
+
+    def make(self, batch: Batch) -> "BaseMotion":
+        """Return the motion of the bases of the arms of a batch."""
+        return BaseMotion(self, batch)
+
+    @abstractmethod
+    def draw(self, random: np.random.Generator) -> Array:
+        """Draw the parameters of the motion of an episode."""
+
+    @abstractmethod
+    def motion(self, drawn: Array, times: Array) -> tuple[Array, Array, Array]:
+        """Return motions (r, 6), m and rad, rates and accelerations at times (r,), s, with parameters (r, ...)."""
+
+
 @dataclass(frozen=True)
-class Sea:
+class Sea(PrescribedMotion):
     """Motion of a deck in a seaway, drawn for each episode; an agent does not command it.
 
     Each motion is a sum of 12 sines of equal energy, whose frequencies divide a JONSWAP spectrum (Hasselmann and
@@ -64,16 +105,6 @@ class Sea:
         one_of("Sea.target", self.target, FRAMES)
 
     @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the entries of an action: none."""
-        return ()
-
-    @property
-    def rotates(self) -> bool:
-        """True: the base turns with the deck."""
-        return True
-
-    @property
     def amplitudes(self) -> Array:
         """Amplitudes (6,) of the sines of surge, sway, heave (m), roll, pitch and yaw (rad)."""
         return np.array([getattr(self, name) for name in (*LENGTHS, *ANGLES)]) / math.sqrt(2.0 * COMPONENTS)
@@ -83,19 +114,6 @@ class Sea:
         """Bounds (3, 6) of the motions, their rates and their accelerations."""
         fastest = 2.0 * np.pi * HIGHEST / self.period
         return COMPONENTS * self.amplitudes * np.array([[1.0], [fastest], [fastest**2]])
-
-    @property
-    def range(self) -> float:
-        """Largest distance of the base from its mean position, m."""
-        return float(np.linalg.norm(self.largest[0, :3]))
-
-    def make_mode(self, mode: ActionMode, base: Controller | None) -> ActionMode:
-        """Return the action mode itself."""
-        return mode
-
-    def make(self, batch: Batch) -> "BaseMotion":
-        """Return the motion of the bases of the arms of a batch."""
-        return BaseMotion(self, batch)
 
     def draw(self, random: np.random.Generator) -> Array:
         """Draw frequencies (rad/s) and phases (rad) of the sines of an episode, (6, COMPONENTS, 2)."""

@@ -6,17 +6,14 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from flexman_gym.agent.action_modes import ActionMode
-from flexman_gym.agent.controller import Controller
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import one_of, set_fields, text
 from flexman_gym.common.errors import value_error
-from flexman_gym.simulation.batch import Batch
-from flexman_gym.toolbox.foundations.base_motion import ANGLES, FRAMES, LENGTHS, BaseMotion
+from flexman_gym.toolbox.foundations.base_motion import ANGLES, FRAMES, LENGTHS, PrescribedMotion
 
 
 @dataclass(frozen=True)
-class Record:
+class Record(PrescribedMotion):
     """Motion of the base from a record, the same in each episode; an agent does not command it.
 
     Columns surge, sway, heave (m, mm) and roll, pitch, yaw (rad, deg) of a CSV file over time; missing ones are zero. A
@@ -44,33 +41,10 @@ class Record:
             raise value_error("Record.start", self.start, allowed)
 
     @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the entries of an action: none."""
-        return ()
-
-    @property
-    def rotates(self) -> bool:
-        """True: the base may turn."""
-        return True
-
-    @property
     def largest(self) -> Array:
         """Bounds (3, 6) of the motions, their rates and their accelerations: twice those at the samples."""
         times, spline = _read(self.file)
         return 2.0 * np.array([np.abs(spline(times, order)).max(axis=0) for order in range(3)])
-
-    @property
-    def range(self) -> float:
-        """Largest distance of the base from its origin, m."""
-        return float(np.linalg.norm(self.largest[0, :3]))
-
-    def make_mode(self, mode: ActionMode, base: Controller | None) -> ActionMode:
-        """Return the action mode itself."""
-        return mode
-
-    def make(self, batch: Batch) -> BaseMotion:
-        """Return the motion of the bases of the arms of a batch."""
-        return BaseMotion(self, batch)
 
     def draw(self, random: np.random.Generator) -> Array:
         """Return the start (1,) of an episode in the record, s; options of a reset may replace it."""

@@ -17,6 +17,7 @@ from flexman_gym.common.checks import one_of
 from flexman_gym.common.errors import value_error
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.episodes import Episodes
+from flexman_gym.envs.foundation import check_fixed
 from flexman_gym.envs.limits import Limits
 from flexman_gym.envs.measurements import Measurements
 from flexman_gym.envs.sensors import (
@@ -135,8 +136,7 @@ def sensitivities(
     environment, spec = Configuration.find(scene), find_agent(agent)
     if environment.safety:
         raise value_error("safety", True, "False: the safety filter has no derivatives")
-    if environment.foundation is not None:
-        raise value_error("foundation", "travel", "None: the commands of a foundation have no derivatives")
+    check_fixed(environment.foundation, "the commands of a foundation have no derivatives")
     derivatives = _Derivatives(spec, environment, (checked_names("of", of), checked_names("to", to)))
     return derivatives.result(rollout(spec, environment, [seed], derivatives))
 

@@ -222,10 +222,8 @@ def _chain_rows() -> Iterator[VerificationRow]:
     yield from _series("robot axis, motor held f_{}, Hz", source, (4.227, 10.392), frequencies(model, lock_joints=True),
                            CHAIN_OF_MASSES)  # fmt: skip
     for stiffness in (0.5, 1.0, 2.0):
-        free, case = (
-            frequencies(build_model(catalog.two_mass(stiffness)))[1],
-            f"two masses, spring {stiffness:g}, free f, Hz",
-        )
+        free = frequencies(build_model(catalog.two_mass(stiffness)))[1]
+        case = f"two masses, spring {stiffness:g}, free f, Hz"
         yield VerificationRow(case, WIE, np.sqrt(2.0 * stiffness) / (2.0 * np.pi), free, CHAIN_OF_MASSES)
     model, source = build_model(catalog.apkarian_1998()), f"{APKARIAN}; {CHAIN}"
     springs = np.diag([0.0, 0.0, 89.1473, 45.6434])

@@ -9,20 +9,15 @@ import numpy as np
 from flexman_gym.agent.controller import EpisodeInfo
 from flexman_gym.agent.pd import PD
 from flexman_gym.common.arrays import Array
-from flexman_gym.common.errors import value_error
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.envs.episodes import Episodes
+from flexman_gym.envs.foundation import check_fixed
 from flexman_gym.evaluation.agent_spec import split_interface
 
 ROUNDING = 1e-9  # relative excess of a torque over its limit that is clipped
 BRAKED, RUNNING, STOPPING = range(3)
-
-
-def check_fixed(environment: Configuration) -> None:
-    """Raise ValueError for an arm on a foundation that the agent moves: a machine receives torques only."""
-    if environment.foundation is not None:
-        raise value_error("foundation", "travel", "None: the commands of a machine are torques of the motors")
+FIXED = "the commands of a machine are torques of the motors"  # why a foundation may not move
 
 
 class SimulatedArm:
@@ -42,7 +37,7 @@ class SimulatedArm:
     """
 
     def __init__(self, environment: Configuration, seed: int, options: Mapping[str, Any] | None = None) -> None:
-        check_fixed(environment)
+        check_fixed(environment.foundation, FIXED)
         bare = split_interface(environment)[0].replace(sensors=environment.sensors, actions="torque")
         venv: Any = gym.make_vec(bare.id, 1, "vector_entry_point", **bare.keywords())
         venv.reset(seed=[seed], options=dict(options or {}) or None)
