@@ -35,6 +35,8 @@ def parse_kind(field: str, value: object, table: Mapping[str, _Entry]) -> tuple[
     return name, mapping(field, given, table[name].arguments)
 
 
+PASSIVE = ("none", "some", "all")  # joints of an arm that lack a motor
+PASSIVE_ARMS = {"some": "with passive joints", "all": "without motors"}
 DEFAULT_TUNING = "none: default weights for every arm"  # tuning of controllers designed from a model
 
 
@@ -48,7 +50,7 @@ class ControllerEntry:
         arguments: names of the arguments that a mapping may contain.
         description: noun phrase for the league page.
         tuning: origin of the gains.
-        passive: True for a controller that also moves arms with passive joints.
+        passive: joints that may lack a motor, of PASSIVE: "all" for a controller of a foundation that travels.
     """
 
     make: Callable[..., Controller]
@@ -56,7 +58,7 @@ class ControllerEntry:
     arguments: tuple[str, ...]
     description: str
     tuning: str = DEFAULT_TUNING
-    passive: bool = False
+    passive: str = PASSIVE[0]
 
 
 _PLACE = "flexman_gym.toolbox.controllers"
@@ -92,7 +94,9 @@ BASES: Registry[ControllerEntry] = Registry("controller", {
 def make_base(value: object, plant: Plant) -> Controller:
     """Make a base controller, given by name or mapping, for a plant; see `parse_kind`."""
     name, arguments = parse_kind("base", value, BASES)
-    if plant.model.constants.passive.any() and not BASES[name].passive:
-        possible = ", ".join(each for each in BASES if BASES[each].passive)
-        raise value_error("base", name, f"{possible}, or a controller of your own, for an arm with passive joints")
+    passive = plant.model.constants.passive
+    served = PASSIVE[int(passive.any()) + int(passive.all()) :]
+    if BASES[name].passive not in served:
+        arm, possible = PASSIVE_ARMS[served[0]], ", ".join(each for each in BASES if BASES[each].passive in served)
+        raise value_error("base", name, f"{possible}, or a controller of your own, for an arm {arm}")
     return BASES[name].make(plant, **arguments)

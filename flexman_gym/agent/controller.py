@@ -17,6 +17,14 @@ from flexman_gym.simulation.methods import DEFAULT_METHOD, Method
 
 Gains = Mapping[str, Vector]
 
+NO_MOTOR = 1e30  # N m; torque limit by which a passive joint has an action of zero
+
+
+def torque_scales(torque_limit: Vector) -> Array:
+    """Return the torques (n,) of unit action, N m: the limits (n,), and NO_MOTOR in place of 0 for passive joints."""
+    limits = np.array(torque_limit, dtype=float)
+    return np.where(limits > 0.0, limits, NO_MOTOR)
+
 
 class Plant(NamedTuple):
     """Plant model and specifications for controller design.
@@ -58,6 +66,11 @@ class Plant(NamedTuple):
     named_period: float | None = None
     foundation: Any = None
     link_encoders: bool = False
+
+    @property
+    def torque_scales(self) -> Array:
+        """Torques (n,) of unit action, N m, see the function `torque_scales`."""
+        return torque_scales(self.torque_limit)
 
 
 Readings = Mapping[str, NDArray[Any]]

@@ -14,8 +14,6 @@ from flexman_gym.model.dynamics import mass_matrix
 from flexman_gym.model.model import Model, check_model
 from flexman_gym.model.statics import holding_torques
 
-NO_MOTOR = 1e30  # N m; torque limit by which a passive joint has an action of zero
-
 
 class PD:
     """Proportional-derivative controller of the motors: torque = stiffness (goal - angle) - damping rate, saturated.
@@ -161,8 +159,7 @@ def make_pd(plant: Plant, **gains: Any) -> PD:
     """
     weight = plant.model if plant.model.constants.gravity.any() else None
     tuned = gains if len(gains) == 2 else {**plant.gains(), **gains}
-    limits = np.where(plant.model.constants.passive, NO_MOTOR, plant.torque_limit)
-    return PD(**tuned, torque_limit=limits, gravity_model=weight)
+    return PD(**tuned, torque_limit=plant.torque_scales, gravity_model=weight)
 
 
 ENTRY = ControllerEntry(
@@ -172,5 +169,5 @@ ENTRY = ControllerEntry(
     "a PD of the motors, with gains for each arm, task and delay",
     "by `flexman optimise gains`, about half a minute of computing time per environment, on the seeds 0 to 7; "
     "designed from a model for an own arm",
-    passive=True,
+    passive="all",
 )

@@ -23,14 +23,16 @@ EQUAL_RATES = 1e-6  # rad/s; difference of motor rates below which the friction 
 def frictionless(model: Model) -> Model:
     """Return the model without friction of the motors; a model without friction is returned unchanged.
 
+    Passive joints keep their friction.
+
     Args:
         model: model of the arm.
     """
-    if not (model.constants.rotor_damping.any() or model.constants.coulomb_friction.any()):
+    constants, names = model.constants, ("rotor_damping", "coulomb_friction", "has_coulomb_friction")
+    if not friction_coefficients(model).any():
         return model
-    zero, none = np.zeros(model.n_joints), np.zeros(model.n_joints, dtype=np.int64)
-    slippery = model.constants._replace(rotor_damping=zero, coulomb_friction=zero, has_coulomb_friction=none)
-    return replace(model, constants=slippery)
+    slippery = {name: getattr(constants, name) * constants.passive for name in names}
+    return replace(model, constants=constants._replace(**slippery))
 
 
 def coulomb_torques(model: Model, rates: Array) -> Array:
@@ -54,8 +56,12 @@ def coulomb_slopes(model: Model, rates: Array) -> Array:
 
 
 def friction_coefficients(model: Model) -> Array:
-    """Return the damping of the rotors (N m s/rad) and the Coulomb friction (N m) of a model, (2, n)."""
-    return np.array([model.constants.rotor_damping, model.constants.coulomb_friction])
+    """Return the damping of the rotors (N m s/rad) and the Coulomb friction (N m) of a model, (2, n).
+
+    Both are 0 for passive joints, whose friction no motor compensates.
+    """
+    motors = 1 - model.constants.passive
+    return np.array([model.constants.rotor_damping * motors, model.constants.coulomb_friction * motors])
 
 
 def friction_torques(model: Model, rates: Array, coefficients: Array | None = None) -> Array:

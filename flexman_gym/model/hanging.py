@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from flexman_gym.common.arrays import Array
+from flexman_gym.common.arrays import Array, IntArray
 from flexman_gym.common.errors import value_error
 from flexman_gym.kernels.inverse import EQUILIBRIUM_TOLERANCE
 from flexman_gym.model.dynamics import elastic_forces, inertial_forces, inertial_jacobian, stiffness_matrix
@@ -12,6 +12,19 @@ from flexman_gym.model.state_space import natural_modes
 MAX_TURN = 0.3  # rad; largest change of a joint angle in a step of Newton's method
 NEUTRAL = 1e-4  # rad^2/s^2; squared frequency of a motion without restoring force
 NEWTON_STEPS = 100
+
+
+def tangent_matrices(model: Model, motion: Array, columns: IntArray) -> tuple[Array, Array]:
+    """Return mass and stiffness (c, c) of some coordinates, with the stiffness of gravity and inertial forces.
+
+    Args:
+        model: model of the arm.
+        motion: (3, d) coordinates, speeds and accelerations.
+        columns: (c,) indices of the coordinates.
+    """
+    jacobian = inertial_jacobian(model, motion)[columns]
+    springs = stiffness_matrix(model, motion[0])[np.ix_(columns, columns)]
+    return jacobian[:, 2 * model.n_dof + columns], jacobian[:, columns] + springs
 
 
 def hang(model: Model, posture: Array, coordinates: Array) -> Array:
@@ -32,9 +45,7 @@ def hang(model: Model, posture: Array, coordinates: Array) -> Array:
     forces, x = inertial_forces(model), coordinates.copy()
     for _ in range(NEWTON_STEPS):
         residual = (forces(x, rest, rest) + elastic_forces(model, x))[free]
-        jacobian = inertial_jacobian(model, np.array([x, rest, rest]))[: model.n_dof]
-        mass, stiffness = (jacobian[np.ix_(free, start + free)] for start in (2 * model.n_dof, 0))
-        stiffness = stiffness + stiffness_matrix(model, x)[np.ix_(free, free)]
+        mass, stiffness = tangent_matrices(model, np.array([x, rest, rest]), free)
         squares, shapes = natural_modes((mass + mass.T) / 2.0, (stiffness + stiffness.T) / 2.0)
         change = -shapes @ (shapes.T @ residual / np.maximum(np.abs(squares), NEUTRAL))
         if squares[0] < 0.0 and np.abs(change).max() < EQUILIBRIUM_TOLERANCE:

@@ -156,13 +156,16 @@ def holding_torques(model: Model, motor_angles: Vector) -> Array:
 
 
 def static_torques(model: Model, coordinates: Array) -> Array:
-    """Return the motor torques (n,), N m, that hold an arm at its equilibrium coordinates (d,), see `rest_state`."""
+    """Return the motor torques (n,), N m, that hold an arm at its equilibrium coordinates (d,), see `rest_state`.
+
+    The torque of a passive joint is 0.
+    """
     angles, zero = coordinates[model.motor_columns], np.zeros(model.n_dof)
     ripple = model.constants.ripple_torque * np.sin(
         model.constants.ripple_cycles * angles + model.constants.ripple_phase
     )
     forces = inertial_forces(model)(coordinates, zero, zero) + elastic_forces(model, coordinates)
-    result: Array = forces[model.motor_columns] - ripple
+    result: Array = (forces[model.motor_columns] - ripple) * (1 - model.constants.passive)
     return result
 
 

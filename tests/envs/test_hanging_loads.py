@@ -13,6 +13,7 @@ from flexman_gym.envs.config.configuration import Configuration
 from oracles.assertions import refusal
 
 ID, Y, X = "FlexPlanar-v0", (0.0, -1.0, 0.0), (1.0, 0.0, 0.0)
+SERVED = "pd", "lqr", "lqr-tracking", "lqg", "adaptive-lqr", "privileged-lqr", "pd-shaped"
 DOWN = ((0.0, 0.0, 1.0), (0.0, 1.0, 0.0), (-1.0, 0.0, 0.0))
 pytestmark = pytest.mark.filterwarnings("ignore:.*radius of gyration")
 
@@ -112,11 +113,16 @@ def test_a_condition_concerns_the_motors_and_the_load(condition):
     assert np.isfinite(env.step(np.zeros(1, dtype=np.float32))[0]).all()
 
 
-@pytest.mark.parametrize("base", sorted({*BASES} - {"pd", "pd-shaped"}))
+@pytest.mark.parametrize("base", sorted({*BASES} - {*SERVED}))
 def test_a_controller_without_passive_joints_is_refused_in_one_line(base):
     line = refusal(lambda: gym.make(ID, arm=crane(), base=base))
-    possible = "pd, pd-shaped, or a controller of your own, for an arm with passive joints"
+    possible = f"{', '.join(SERVED)}, or a controller of your own, for an arm with passive joints"
     assert line == f"base: {base!r} is not allowed; give {possible}"
+
+
+@pytest.mark.parametrize("base", SERVED)
+def test_a_controller_stops_the_load(base):
+    assert fm.evaluate({"kind": base}, Configuration(ID, {"arm": crane()}), seeds=range(2))["settled"] == 1.0
 
 
 @pytest.mark.parametrize(

@@ -332,13 +332,6 @@ def test_passive_joint_without_spring_moves_and_vibrates_where_no_equilibrium_is
 
 
 @pytest.mark.feature
-def test_feature_that_needs_a_motor_at_each_joint_refuses_a_passive_joint():
-    from flexman_gym.toolbox.controllers.lqr import LQR
-
-    assert "an arm with a motor at each joint" in refusal(LQR, free_pendulum((0.0, -9.81, 0.0)), 1.0, 0.02)
-
-
-@pytest.mark.feature
 def test_swing_of_a_hanging_load_is_among_the_modes_that_a_motor_excites():
     from flexman_gym.toolbox.controllers.excited_modes import excited_modes
 

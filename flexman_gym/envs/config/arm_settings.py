@@ -222,7 +222,7 @@ def _derived_limits(arm: Arm, torque_limit: Sequence[float], facts: ArmFacts) ->
     twists = [
         LIMIT_FACTOR * limit / joint.stiffness
         for limit, joint in zip(torque_limit, arm.joints, strict=True)
-        if joint.stiffness is not None
+        if joint.stiffness is not None and not joint.passive
     ]
     usual = Limits()
     bending = usual.deflection * facts.reach * 2.0 * math.pi * (facts.held[0] if facts.held else 0.0)

@@ -81,15 +81,17 @@ class ArmScales(NamedTuple):
 
     @classmethod
     def of_plant(cls, plant: Plant, design: object = None) -> Self:
-        """Return the scales of a plant for a design of DESIGNS; None for "named" if the arm is a named one, else "arm".
+        """Return the scales of a plant for a design of DESIGNS; None for the usual one.
+
+        The usual design is "named" for the arm of a named environment without passive joints, and "arm" for others.
 
         Raises:
             ValueError: for an unknown design.
         """
-        usual = "arm" if plant.named_period is None else "named"
+        usual = "arm" if plant.named_period is None or plant.model.constants.passive.any() else "named"
         if one_of("base.design", usual if design is None else design, DESIGNS) == "named":
             return cls.of_design_named(plant.model, plant.named_period or 0.0)
-        return cls.of(plant.model, plant.torque_limit, plant.rate_limit)
+        return cls.of(plant.model, plant.torque_scales, plant.rate_limit)
 
     @classmethod
     def of_design_named(cls, model: Model, unit: float = 0.0) -> Self:

@@ -9,6 +9,8 @@ from flexman_gym.common.checks import check_solvable, mapping, positive
 from flexman_gym.common.errors import value_error
 from flexman_gym.model.model import Model
 from flexman_gym.model.state_space import LinearModel, discretize
+from flexman_gym.model.statics import holding_torques, rest_state
+from flexman_gym.simulation.linearization import linearize
 from flexman_gym.toolbox.controllers.arm_scales import ArmScales
 from flexman_gym.toolbox.controllers.observers.kalman_filter import late_covariances
 
@@ -65,12 +67,12 @@ class CostWeights(NamedTuple):
         )
 
     def gain(self, linear: LinearModel, motors: Array, limits: Array, period: float) -> Array:
-        """Return the gain K (n, 2 d) of the sampled LQR, torques = -K x, for states x relative to the equilibrium.
+        """Return the gain K (m, 2 d) of the sampled LQR, torques = -K x, for states x relative to the equilibrium.
 
         Args:
-            linear: linear model about an equilibrium.
-            motors: (n,) columns of the motor angles in x.
-            limits: (n,) torque limits, N m.
+            linear: linear model about an equilibrium, with m motors.
+            motors: (m,) columns of the motor angles in x.
+            limits: (m,) torque limits, N m.
             period: control period, s.
 
         Raises:
@@ -95,7 +97,7 @@ class CostWeights(NamedTuple):
         return late_covariances(transition.T, cost, inputs.T, np.ones(len(unit)))[0]
 
     def outputs(self, linear: LinearModel, motors: Array) -> Array:
-        """Return the matrix (6 + n or 6 + 2 n, 2 d) of the outputs in the cost, divided by their weights.
+        """Return the matrix (6 + m or 6 + 2 m, 2 d) of the outputs in the cost, divided by their weights.
 
         The outputs are tip, its rate, motor angles, and motor rates that have a cost.
         """
@@ -130,6 +132,24 @@ class NamedWeights(CostWeights):
             except (ValueError, np.linalg.LinAlgError):
                 continue
         return super()._cost_to_go(equation, unit)
+
+
+def posture_gain(model: Model, posture: Array, weights: CostWeights, limits: Array, period: float) -> Array:
+    """Return the gain K (n, 2 d) of the sampled LQR about rest at motor angles (n,) rad; 0 for passive joints.
+
+    Args:
+        model: model of the arm, whose motors have no friction.
+        posture: (n,) motor angles, rad; passive joints hang.
+        weights: cost weights.
+        limits: (n,) torque limits, N m.
+        period: control period, s.
+    """
+    linear = linearize(model, state=rest_state(model, posture), torque=holding_torques(model, posture))
+    motors, gain = model.constants.passive == 0, np.zeros((model.n_joints, 2 * model.n_dof))
+    if isinstance(weights.motor_rate, tuple):
+        weights = weights._replace(motor_rate=tuple(np.array(weights.motor_rate)[motors].tolist()))
+    gain[motors] = weights.gain(linear, model.driven_columns, limits[motors], period)
+    return gain
 
 
 def parse_weights(value: object, scales: ArmScales) -> CostWeights | None:

@@ -15,10 +15,9 @@ from flexman_gym.kernels.cache import find_cache_folder
 from flexman_gym.model.friction import frictionless
 from flexman_gym.model.linearization import SLIDING
 from flexman_gym.model.model import Model
-from flexman_gym.model.statics import holding_torques, rest_state
-from flexman_gym.simulation.linearization import linearize
+from flexman_gym.model.statics import holding_torques
 from flexman_gym.simulation.physical_parameters import varied_model
-from flexman_gym.toolbox.controllers.cost_weights import CostWeights
+from flexman_gym.toolbox.controllers.cost_weights import CostWeights, posture_gain
 
 POSTURE_SPACING = 0.17  # rad; distance of postures in the table; with 0.43 rad a folded arm oscillates
 SAVE_INTERVAL = 50  # number of new designs (15 ms each) between two writes of the file
@@ -57,9 +56,7 @@ class GainDesigns:
 
     def gain(self, node: int, posture: Array) -> Array:
         """Return the gain (n, 2 d) for the payload with an index, at motor angles (n,) rad."""
-        model = self.models[node]
-        linear = linearize(model, state=rest_state(model, posture), torque=holding_torques(model, posture))
-        return self._weights.gain(linear, model.motor_columns, self._limits, self._period)
+        return posture_gain(self.models[node], posture, self._weights, self._limits, self._period)
 
     def places(self, payloads: Array) -> tuple[IntArray, Array]:
         """Return the index (r,) of the node below payloads (r,) kg, and the part (r,) of the way to the next node."""

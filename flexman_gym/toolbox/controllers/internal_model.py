@@ -68,14 +68,15 @@ class DiscreteJacobians:
         plant: plant model with method and step.
 
     Attributes:
-        scales: (n + 3,) scales of the forces: torque limits (N m) and, for each axis, the tip force (N) that the
-            strongest motor balances at full reach.
+        scales: (n + 3,) scales of the forces: torque limits (N m), 0 for passive joints, and, for each axis, the tip
+            force (N) that the strongest motor balances at full reach.
     """
 
     def __init__(self, plant: Plant) -> None:
         model, limits = plant.model, np.array(plant.torque_limit)
         self.scales = np.append(limits, np.full(3, limits.max() / model.constants.length.sum()))
-        self._steps = np.concatenate([np.tile(STATE_STEP * coordinate_scales(model), 2), FORCE_STEP * self.scales])
+        forces = FORCE_STEP * np.where(self.scales > 0.0, self.scales, 1.0)
+        self._steps = np.concatenate([np.tile(STATE_STEP * coordinate_scales(model), 2), forces])
         self._size = 2 * model.n_dof
         self._perturbations = np.vstack([np.zeros(len(self._steps)), np.diag(self._steps)])  # the nominal arm first
         zero = np.zeros(model.n_joints)

@@ -7,16 +7,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flexman_gym.agent.base_controllers import ControllerEntry
-from flexman_gym.agent.controller import EpisodeInfo, Plant, Readings, saturated
+from flexman_gym.agent.controller import NO_MOTOR, EpisodeInfo, Plant, Readings, saturated
 from flexman_gym.agent.pd import torque_limits
 from flexman_gym.common.arrays import Array, BoolArray, IntArray, Vector, pad_rows, row_dots
 from flexman_gym.common.checks import one_of, positive
 from flexman_gym.common.errors import value_error
 from flexman_gym.model.model import Model, check_model
 from flexman_gym.model.statics import holding_torques, rest_state
-from flexman_gym.simulation.linearization import linearize
 from flexman_gym.toolbox.controllers.arm_scales import ArmScales
-from flexman_gym.toolbox.controllers.cost_weights import CostWeights, NamedWeights, parse_weights
+from flexman_gym.toolbox.controllers.cost_weights import CostWeights, NamedWeights, parse_weights, posture_gain
 from flexman_gym.toolbox.controllers.friction_compensation import FrictionCompensation
 from flexman_gym.toolbox.controllers.references.trajectories import TIMING_LAWS, plan_path, plan_slew
 
@@ -79,11 +78,13 @@ class LQR:
         weights: CostWeights | None = None,
         scales: ArmScales | None = None,
     ) -> None:
-        for i in np.flatnonzero(check_model(model).constants.passive):
-            raise value_error(f"LQR.model: arm.joints[{i}].passive", True, "an arm with a motor at each joint")
-        n, d = model.n_joints, model.n_dof
+        n, d, passive = check_model(model).n_joints, model.n_dof, model.constants.passive > 0
+        if passive.all():
+            raise value_error("LQR.model: arm.joints", "passive joints", "an arm with a motor")
         self.model = self.gravity_model = model
         self.period = positive("period", period, "s")
+        if passive.any():
+            torque_limit = np.where(passive, NO_MOTOR, torque_limit)
         self.limits = np.array(torque_limits("torque_limit", torque_limit, n))
         self.scales = scales or ArmScales.of(model, self.limits)
         self.weights = weights or self._default_weights()
@@ -96,9 +97,7 @@ class LQR:
 
     def gain(self, posture: Array, weights: CostWeights | None = None) -> Array:
         """Return the gain K (n, 2 d) at motor angles (n,) rad; weights None for the weights of the regulator."""
-        state, holding = rest_state(self.model, posture), holding_torques(self.model, posture)
-        linear = linearize(self._compensation.model, state=state, torque=holding)
-        return (weights or self.weights).gain(linear, self.model.motor_columns, self.limits, self.period)
+        return posture_gain(self._compensation.model, posture, weights or self.weights, self.limits, self.period)
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
         """Compute gains and equilibria for new episodes; arguments as in `Controller.reset`."""
@@ -196,7 +195,7 @@ class TrackingLQR(LQR):
         if episode.reference is not None:
             self._plan_paths(arms, episode.reference)
             return
-        motors, bounds = self.model.motor_columns, self.scales.bounds(self.limits, FEEDFORWARD_FRACTION)
+        motors, bounds = self.model.driven_columns, self.scales.bounds(self.limits, FEEDFORWARD_FRACTION)
         for arm, first, last in zip(arms, episode.start, episode.goal, strict=True):
             if np.array_equal(first, last):
                 self._start(int(arm), self._holding_schedule(last))
@@ -266,17 +265,22 @@ def _maker(regulator: type[LQR]) -> Callable[..., LQR]:
     def make(plant: Plant, weights: object = None, design: object = None, **options: Any) -> LQR:
         scales = ArmScales.of_plant(plant, design)
         chosen = parse_weights(weights, scales)
-        return regulator(plant.model, plant.torque_limit, plant.period, chosen, scales=scales, **options)
+        return regulator(plant.model, plant.torque_scales, plant.period, chosen, scales=scales, **options)
 
     return make
 
 
 LQR_ENTRY = ControllerEntry(
-    _maker(LQR), ("model", "true state"), ("weights", "design"), "a linear-quadratic regulator about the goal"
+    _maker(LQR),
+    ("model", "true state"),
+    ("weights", "design"),
+    "a linear-quadratic regulator about the goal",
+    passive="some",
 )
 TRACKING_ENTRY = ControllerEntry(
     _maker(TrackingLQR),
     ("model", "true state"),
     ("weights", "timing_law", "design"),
     "a linear-quadratic regulator that tracks a smooth slew, or a path",
+    passive="some",
 )

@@ -198,6 +198,7 @@ LQG_ENTRY = ControllerEntry(
     ("model",),
     ("weights", "design", "sensors", "noise", "disturbed", "biased", "fixed"),
     "a Kalman filter of the nominal arm with laboratory measurements, and `lqr-tracking`",
+    passive="some",
 )
 ADAPTIVE_ENTRY = ControllerEntry(
     _adaptive,
@@ -205,10 +206,12 @@ ADAPTIVE_ENTRY = ControllerEntry(
     ("weights", "design", "sensors", "unknown", "biased"),
     "an output-error estimator with eleven simulated arms, fitted to laboratory measurements, and `lqr-tracking` "
     "for the estimated arm; the PD if no fit explains the measurements",
+    passive="some",
 )
 PRIVILEGED_ENTRY = ControllerEntry(
     _privileged,
     ("model", "true state", "true parameters"),
     ("weights", "design", "doubt", "retimed"),
     "`lqr-tracking` with true state and true parameters, the benchmark",
+    passive="some",
 )

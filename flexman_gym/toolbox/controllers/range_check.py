@@ -179,5 +179,5 @@ class RangeCheckedController:
         """Return the action (1, n) of a refused period."""
         if self._model is None or not self._started or self.refused > self._holding_periods:
             return np.zeros((1, len(self._limits)))
-        torques = rigid_holding_torques(self._model, self._posture)
+        torques = rigid_holding_torques(self._model, self._posture) * (1 - self._model.constants.passive)
         return np.clip(torques / self._limits, -1.0, 1.0)[None]

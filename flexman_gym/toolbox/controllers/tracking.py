@@ -54,7 +54,7 @@ class Tracking:
         weights = weights or CostWeights.default(model, scales)
         low, high = plant.unknown.get("payload_mass", (model.constants.payload_mass[0],) * 2)
         payloads = (low, 0.5 * (low + high), high) if high > low else (low,)
-        self.limits, self._period = np.array(plant.torque_limit), plant.period
+        self.limits, self._period = plant.torque_scales, plant.period
         self._paths = PathReferences(model, plant.period, payloads)
         bounds = scales.bounds(self.limits, FEEDFORWARD_FRACTION)
         self.slews = SlewReferences(model, bounds, payloads, scales.slew, equilibrium=not scales.named)
@@ -64,7 +64,7 @@ class Tracking:
             make_gains(GainDesigns(model, self.limits, plant.period, each, nodes), self._route)
             for each in (weights, tight)
         ]
-        self._motors = model.motor_columns
+        self._motors, self._driven = model.motor_columns, 1 - model.constants.passive
         self._compensation = FrictionCompensation(plant)
         self.shaping: ReferenceShaping | None = None
         self._planned = np.zeros(0, dtype=bool)  # flags of arms with a plan of this control period
@@ -171,7 +171,7 @@ class Tracking:
         first = arms[self._ages[arms] == 0]
         if len(first):
             start = np.where(self._holding[first, None], self._goal[first], estimate.states[first][:, self._motors])
-            self.slews.begin(first, start, self._goal[first])
+            self.slews.begin(first, self._driven * start, self._driven * self._goal[first])
             self.slews.adapt(first, estimate.parameters)
             self.slews.end_in_equilibrium(first, estimate.parameters)
             self.slews.plan_timing(first, self.clock(estimate, first), first=True)

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from flexman_gym.agent.action_modes import TorqueMode
-from flexman_gym.agent.controller import EpisodeInfo
+from flexman_gym.agent.controller import EpisodeInfo, torque_scales
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import MAX_SIZE
 from flexman_gym.common.errors import value_error
@@ -90,7 +90,7 @@ class _Session(NamedTuple):
         """
         agent, (start, goal) = copy(self.episodes.agent), self.move
         ranges = {name: self.ranges[first : first + size] for name, (first, size, _) in self.layout.items()}
-        limits, period = np.array(self.environment.torque_limit), self.environment.control_period
+        limits, period = torque_scales(self.environment.torque_limit), self.environment.control_period
         result = RangeCheckedController(agent, ranges, limits, self.gravity_model)
         path = None if self.path is None else lambda: self.path[None]  # type: ignore[index]
         result.reset(np.zeros(1, dtype=np.int64), EpisodeInfo(start[None], goal[None], period, path), 1)
@@ -208,6 +208,7 @@ def _add_weight(program: CProgram, session: _Session) -> None:
     moments[-1] += constants.payload_mass[0] * (constants.payload_mount.reshape(3, 3) @ constants.payload_offset[0])
     program.weight |= {"gravity": constants.gravity, "mount": constants.mount, "axis": constants.axis}
     program.weight["outboard_moment"] = moments
+    program.weight["driven"] = 1.0 - model.constants.passive
     program.memory["posture"] = (n,)
     program.step.insert(0, Template(c.POSTURE).safe_substitute(angle=posture))
 
@@ -239,7 +240,7 @@ def write_c(session: _Session, folder: Path) -> list[Path]:
 
 def _words(session: _Session, program: CProgram, name: str) -> dict[str, Any]:
     """Return the parts of the files of a controller by their names in the templates."""
-    environment, limits = session.environment, np.array(session.environment.torque_limit)
+    environment, limits = session.environment, torque_scales(session.environment.torque_limit)
     readings, actions = session.record(RECORDED_PERIODS)
     count = max(map(len, program.rows.values()), default=1)
     tables = {each: np.pad(values, [(0, count - len(values)), *[(0, 0)] * (values.ndim - 1)], "edge")

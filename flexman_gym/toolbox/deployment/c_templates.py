@@ -169,6 +169,7 @@ static void hold_weight(const double *angles, double *torque)
             const int k = (j + 1) % 3, l = (j + 2) % 3;
             torque[i] += axis[3 * i + j] * (down[i][k] * moment[l] - down[i][l] * moment[k]);
         }
+        torque[i] *= driven[i]; /* 0 for a passive joint */
         rotate(axis + 3 * i, angles[i], moment, other);
         for (int j = 0; j < 3; j++)
             moment[j] = dot(3, mount + 9 * i + 3 * j, other);

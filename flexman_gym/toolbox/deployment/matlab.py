@@ -24,6 +24,7 @@ def write_matlab(name: str, path: Path, environment: str = "", goal: Vector | No
 
     The file has A, B, C and D of the continuous model, Ad and Bd of the model sampled with the control period, names
     with units, the posture (rad) with its holding torques (N m), and for an agent the structure `agent` with its gains.
+    Inputs and rows of the gains are those of the motors, without passive joints.
 
     Args:
         name: agent as in `begin_agent`, or an environment.
@@ -46,7 +47,9 @@ def write_matlab(name: str, path: Path, environment: str = "", goal: Vector | No
         session = begin_agent(name, environment, **move)
         program, bare, posture = session.program(), session.environment, session.move[1]
         model = session.episodes.batch.model
-        data["agent"] = program.constants | program.rows | program.matrices
+        tables = program.constants | program.rows | program.matrices
+        motors = model.constants.passive == 0
+        data["agent"] = tables | {each: tables[each][..., motors, :] for each in ("gains", "K") if each in tables}
     holding = holding_torques(model, posture)
     linear = linearize(model, state=rest_state(model, posture), torque=holding, outputs=OUTPUTS)
     sampled = linear.discrete(bare.control_period)

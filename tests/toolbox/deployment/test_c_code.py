@@ -13,7 +13,7 @@ from scipy.io import loadmat
 
 import flexman_gym as fm
 from flexman_gym.__main__ import main
-from flexman_gym.agent.controller import EpisodeInfo
+from flexman_gym.agent.controller import EpisodeInfo, torque_scales
 from flexman_gym.agent.network import Network
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.plant import make_plant
@@ -56,6 +56,9 @@ AGENTS = {
     "lqr-tracking of a path": ("lqr-tracking", "FlexPlanar-Track-v0"),
     "pd-shaped": ("pd-shaped", PLANAR),
     "lqg": ("lqg", PLANAR),
+    "pd of a hanging load": ("pd", "FlexCrane-v0"),
+    "lqr-tracking of a hanging load": ("lqr-tracking", "FlexCrane-v0"),
+    "lqg of a hanging load": ("lqg", "FlexCrane-v0"),
     "shipped policy": ("ppo-flexplanar", ""),
     "history": (lambda: network("ppo", history=3, action_repeat=2), ""),
     "averages": (lambda: network("sac", history=(0.05, 0.4), base="pd"), ""),
@@ -112,7 +115,7 @@ def difference(session, folder, steps):
     torques are at their limits and between them.
     """
     agent, random = session.controller().inner, np.random.default_rng(0)
-    limits = np.array(session.environment.torque_limit)
+    limits = torque_scales(session.environment.torque_limit)
     along, compiled = session.readings()[None], Compiled(folder, len(limits))
     if session.path is not None and "state" in session.layout:
         along = agent.base.move_tables()["states"]
@@ -195,7 +198,7 @@ def runner(exported):
         done = subprocess.run([program], input=rows.tobytes(), capture_output=True, check=True)
         assert done.stderr == b""
         result = np.frombuffer(done.stdout).reshape(*sequences.shape[:2], -1)
-        return result[..., 0], result[..., 1:] / limits
+        return result[..., 0], result[..., 1:] / torque_scales(limits)
 
     return run
 
@@ -292,14 +295,15 @@ def test_the_rows_of_a_path_go_on_in_refused_periods(tmp_path):
 @pytest.mark.slow
 def test_holding_torques_of_a_refused_period_are_those_of_the_rigid_arm_at_the_last_good_posture(tmp_path):
     """They last as long as a free fall by 5 % of the reach."""
-    for name, environment in (("pd", PLANAR), ("lqr", PLANAR), ("lqg", PLANAR), ("pd", "FlexRRR-Gravity-v0")):
+    gravity, load = ("pd", "FlexRRR-Gravity-v0"), ("pd", "FlexCrane-v0")
+    for name, environment in (("pd", PLANAR), ("lqr", PLANAR), ("lqg", PLANAR), gravity, load):
         session = begin_agent(name, environment)
         folder = tmp_path / f"{name}-{environment}"
         good, model = session.readings(), session.episodes.batch.model  # at rest at the start
         write_c(session, folder)
         compiled = Compiled(folder, model.n_joints)
         compiled.step(good)
-        weight = rigid_holding_torques(model, session.move[0])
+        weight = rigid_holding_torques(model, session.move[0]) * (1 - model.constants.passive)
         fall = np.sqrt(2.0 * 0.05 * model.constants.length.sum() / np.linalg.norm(model.constants.gravity))
         count = int(fall / session.environment.control_period)
         held = [compiled.step(np.full_like(good, np.nan)) for _ in range(count + 1)]
@@ -460,6 +464,14 @@ def test_a_mat_file_has_linear_model_names_and_gains(tmp_path, capsys):
     assert np.array_equal(data["agent"]["gains"], session.episodes.agent.base.gain(np.array(posture)))
     assert np.abs(np.linalg.eigvals(data["Ad"] - data["Bd"] @ data["agent"]["gains"])).max() < 1.0
     assert main(["export", "matlab", ONE, "--out", str(path)]) == 0 and "agent" not in loadmat(path)
+
+
+@pytest.mark.parametrize(("agent", "gains"), [("lqr", "gains"), ("lqg", "K")])
+def test_gains_of_a_hanging_load_close_the_loop_of_its_linear_model(agent, gains, tmp_path):
+    write_matlab(agent, tmp_path / "arm.mat", "FlexCrane-v0")
+    data = loadmat(tmp_path / "arm.mat", simplify_cells=True)
+    assert data["Bd"].shape == (38, 3)
+    assert np.abs(np.linalg.eigvals(data["Ad"] - data["Bd"] @ data["agent"][gains])).max() < 1.0
 
 
 def test_a_wrong_goal_is_refused_in_one_line(capsys):

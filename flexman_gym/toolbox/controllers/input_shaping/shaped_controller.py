@@ -269,5 +269,5 @@ ENTRY = ControllerEntry(
     ("stiffness", "damping", "shaper", "modes", "places", "duration"),
     "the PD with an input shaper (ZVD) for the lowest mode of the nominal arm",
     "that of the PD",
-    passive=True,
+    passive="all",
 )

@@ -133,7 +133,8 @@ class SlewReferences:
     def _tabulate(self, payload: int, start: Array, goal: Array) -> _PathTables:
         """Return the tables of a path between motor angles (n,) rad, for the payload with the given index."""
         model, deflection, displacement = self._models[payload], self._deflections[payload], goal - start
-        n = model.n_joints
+        n, hanging = model.n_joints, model.constants.passive > 0
+        turned = np.where(hanging, np.diff(rest_state(model, np.array([start, goal]))[:, :n], axis=0)[0], displacement)
         coordinates, torques = np.zeros((11, 3, model.n_dof)), np.zeros((11, 3, n))
         for row, progress in enumerate(PATH_POINTS):
             posture = start + progress * displacement
@@ -142,8 +143,8 @@ class SlewReferences:
             links, zero = rest[:n], np.zeros(n)
             at_rest, static_torque = deflection.at(rest, (links, zero, zero))
             for layer, motion in (
-                (ACCELERATION, (links, zero, TYPICAL_ACCELERATION * displacement)),
-                (SPEED_SQUARED, (links, np.sqrt(TYPICAL_ACCELERATION) * displacement, zero)),
+                (ACCELERATION, (links, zero, TYPICAL_ACCELERATION * turned)),
+                (SPEED_SQUARED, (links, np.sqrt(TYPICAL_ACCELERATION) * turned, zero)),
             ):
                 deflected, torque = deflection.at(rest, motion)
                 coordinates[row, layer], torques[row, layer] = (

@@ -11,8 +11,9 @@ from flexman_gym.common.checks import one_of, physical, sample_count
 from flexman_gym.common.errors import value_error
 from flexman_gym.kernels import outputs
 from flexman_gym.kernels.layout import OUTPUTS, TIP, TIP_VELOCITY, make_work
-from flexman_gym.model.dynamics import inertial_forces, stiffness_matrix
+from flexman_gym.model.dynamics import elastic_forces, inertial_forces, stiffness_matrix
 from flexman_gym.model.friction import friction_torques
+from flexman_gym.model.hanging import tangent_matrices
 from flexman_gym.model.model import Model
 from flexman_gym.model.statics import rest_state
 from flexman_gym.toolbox.controllers.arm_scales import SlewBounds
@@ -113,6 +114,7 @@ TIMING_LAWS = {  # name -> timing law from 0 to 1 with duration 1; the phases ha
 DEFLECTION_PASSES = 3  # fixed-point iterations of the deflection under the inertia of the deflected arm
 SINGULAR_CUTOFF = 0.05  # fraction of the largest singular value of the tip Jacobian; smaller ones are excluded
 STEP_DAMPING = 0.01  # fraction of the largest singular value; damping of a step towards a tip position
+ANGLE_STEP = 1e-5  # rad; step of the differences of equilibrium coordinates
 SOLVE_INTERVAL = 4  # control periods between two points of a path at which the deflection is computed
 REST_POINTS = 6  # number of points at rest before the start of a path at which the deflection is computed
 PATH_SAMPLES = 21  # number of points of a path at which torques are compared with their limits
@@ -124,8 +126,9 @@ JUMP_MARGIN = 1e-9  # fraction of the duration; distance of a check point before
 class QuasiStaticDeflection:
     """Quasi-static deflection of a model and its motor torques, for a prescribed joint motion.
 
-    The prescribed motion is that of the link sides of the joints. Joint springs and links deflect under the inertial
-    and gravitational loads of the motion, without vibration.
+    The prescribed motion is that of the link sides of the joints with a motor. Joint springs and links deflect, and
+    passive joints turn, under the inertial and gravitational loads of the motion, without vibration. Angles of passive
+    joints in a prescribed motion are first guesses; their rates and accelerations are kept.
 
     Args:
         model: model of the arm.
@@ -136,8 +139,10 @@ class QuasiStaticDeflection:
         self.model = model
         self._forces, self._stiffness = inertial_forces(model), stiffness_matrix(model)
         self._motors = model.motor_columns
-        self._elastic = np.arange(n + model.n_motors, model.n_dof)
-        self._inverse = np.linalg.inv(self._stiffness[np.ix_(self._elastic, self._elastic)])
+        self._passive = np.flatnonzero(model.constants.passive)
+        self._elastic = np.append(self._passive, np.arange(n + model.n_motors, model.n_dof))
+        held = self._elastic if not len(self._passive) else self._elastic[:0]
+        self._inverse = np.linalg.inv(self._stiffness[np.ix_(held, held)])
         stiffness = np.where(model.constants.motor >= 0, model.constants.joint_stiffness, np.inf)
         self._compliance = 1.0 / stiffness
 
@@ -157,10 +162,20 @@ class QuasiStaticDeflection:
         for _ in range(DEFLECTION_PASSES):
             forces = self._forces(x, rates, accelerations)
             x = x.copy()
-            x[self._elastic] = -self._inverse @ forces[self._elastic]
+            if len(self._passive):
+                x[self._elastic] -= self._hanging_step(np.array([x, rates, accelerations]), forces)
+            else:
+                x[self._elastic] = -self._inverse @ forces[self._elastic]
             link_torques = forces[:n] - np.where(self._motors == np.arange(n), rotor_torques, 0.0)
             x[self._motors] = x[:n] + self._compliance * link_torques
-        return x, link_torques + rotor_torques
+        return x, (link_torques + rotor_torques) * (1 - self.model.constants.passive)
+
+    def _hanging_step(self, motion: Array, forces: Array) -> Array:
+        """Return the Newton step of passive joints and elastic coordinates for a motion (3, d) with forces (d,)."""
+        _, stiffness = tangent_matrices(self.model, motion, self._elastic)
+        residual: Array = (forces + elastic_forces(self.model, motion[0]))[self._elastic]
+        step: Array = np.asarray(np.linalg.solve(stiffness, residual), dtype=float)
+        return step
 
 
 class _JointPath(NamedTuple):
@@ -335,6 +350,7 @@ class DeflectionCompensation:
     def __init__(self, model: Model) -> None:
         self._model, self._work, self._row = model, make_work(model.constants), np.zeros(OUTPUTS)
         self._rotations = model.at_rest(np.eye(model.n_joints))[:, : model.n_dof].copy()  # of 1 rad, joint by joint
+        self._hangs = bool(model.constants.passive.any())
 
     def rotation(self, rest: Array, deflected: Array) -> Array:
         """Return the rotation (n,) rad, to first order, from deflected to equilibrium coordinates, (d,) each.
@@ -360,8 +376,15 @@ class DeflectionCompensation:
         """Return the Jacobian (3, n) of the tip at deflected coordinates (d,), and its way to the target (3,), m."""
         velocity = self._rotations[0]  # any velocity: positions do not depend on it
         target, tip = self._outputs(rest, velocity)[TIP].copy(), self._outputs(deflected, velocity)[TIP].copy()
-        jacobian = np.array([self._outputs(deflected, each)[TIP_VELOCITY].copy() for each in self._rotations]).T
+        rotations = self._rotations if not self._hangs else self._hanging_rotations(rest)
+        jacobian = np.array([self._outputs(deflected, each)[TIP_VELOCITY].copy() for each in rotations]).T
         return jacobian, target - tip
+
+    def _hanging_rotations(self, rest: Array) -> Array:
+        """Return the changes (n, d) of equilibrium coordinates by motor angles, per rad; 0 for passive joints."""
+        model, posture = self._model, rest[self._model.motor_columns]
+        turned = rest_state(model, posture + ANGLE_STEP * np.eye(model.n_joints))[:, : model.n_dof]
+        return (turned - rest_state(model, posture)[: model.n_dof]) / ANGLE_STEP
 
     def _outputs(self, x: Array, v: Array) -> Array:
         outputs.compute_outputs(self._model.constants, self._work, x, v, self._row)

@@ -9,6 +9,7 @@ import numpy as np
 from flexman_gym.agent.controller import EpisodeInfo
 from flexman_gym.agent.pd import PD
 from flexman_gym.common.arrays import Array
+from flexman_gym.common.errors import value_error
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.envs.episodes import Episodes
@@ -17,7 +18,14 @@ from flexman_gym.evaluation.agent_spec import split_interface
 
 ROUNDING = 1e-9  # relative excess of a torque over its limit that is clipped
 BRAKED, RUNNING, STOPPING = range(3)
-FIXED = "the commands of a machine are torques of the motors"  # why a foundation may not move
+
+
+def check_torques(environment: Configuration) -> None:
+    """Raise ValueError for an environment whose commands are not torques of motors at each joint."""
+    check_fixed(environment.foundation, "the commands of a machine are torques of the motors")
+    for i, joint in enumerate(environment.arm.joints):
+        if joint.passive:
+            raise value_error(f"arm.joints[{i}].passive", True, "an arm with a motor at each joint, for a machine")
 
 
 class SimulatedArm:
@@ -37,7 +45,7 @@ class SimulatedArm:
     """
 
     def __init__(self, environment: Configuration, seed: int, options: Mapping[str, Any] | None = None) -> None:
-        check_fixed(environment.foundation, FIXED)
+        check_torques(environment)
         bare = split_interface(environment)[0].replace(sensors=environment.sensors, actions="torque")
         venv: Any = gym.make_vec(bare.id, 1, "vector_entry_point", **bare.keywords())
         venv.reset(seed=[seed], options=dict(options or {}) or None)

@@ -20,7 +20,6 @@ from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.envs.config.plant import make_plant
 from flexman_gym.envs.env import MAX_SEED
 from flexman_gym.envs.episodes import Episodes
-from flexman_gym.envs.foundation import check_fixed
 from flexman_gym.envs.sensors import ModelState, find_sensors, measured_names
 from flexman_gym.envs.sensors.sensor import measurement_ranges
 from flexman_gym.envs.view import View
@@ -35,7 +34,7 @@ from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.batch_integrators import BatchIntegrator
 from flexman_gym.simulation.episode import Episode
 from flexman_gym.simulation.external_simulator import ExternalIntegrator
-from flexman_gym.toolbox.deployment.machine.arm import FIXED, ROUNDING
+from flexman_gym.toolbox.deployment.machine.arm import ROUNDING, check_torques
 from flexman_gym.toolbox.deployment.machine.clock import MonotonicClock
 from flexman_gym.toolbox.deployment.machine.machine import (
     HELLO_SECONDS,
@@ -128,7 +127,7 @@ def wanted_quantities(agent: object, environment: "str | Configuration") -> list
 
 def _prepared(spec: AgentSpec, environment: Configuration) -> tuple[AgentSpec, list[str]]:
     """Return the agent designed for an environment with ideal sensors, and the quantities that it needs."""
-    check_fixed(environment.foundation, FIXED)
+    check_torques(environment)
     spec = spec.designed(environment)
     interface = dict(spec.interface or {})
     mode = interface.get("actions")
