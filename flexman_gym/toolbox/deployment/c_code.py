@@ -208,7 +208,7 @@ def _add_weight(program: CProgram, session: _Session) -> None:
     moments[-1] += constants.payload_mass[0] * (constants.payload_mount.reshape(3, 3) @ constants.payload_offset[0])
     program.weight |= {"gravity": constants.gravity, "mount": constants.mount, "axis": constants.axis}
     program.weight["outboard_moment"] = moments
-    program.weight["driven"] = 1.0 - model.constants.passive
+    program.weight["driven"] = (1 - model.constants.passive).astype(np.float64)
     program.memory["posture"] = (n,)
     program.step.insert(0, Template(c.POSTURE).safe_substitute(angle=posture))
 
