@@ -15,7 +15,7 @@ from flexman_gym.envs.foundation import find_foundation
 from flexman_gym.envs.tasks import Slew
 from flexman_gym.scene import catalog
 from flexman_gym.scene.link import Link
-from studies.environments.measure import DURATION, SHAPED, SPREAD, Baseline, ModelError, baselines_of, travels
+from studies.environments.measure import AGENTS, DURATION, SHAPED, SPREAD, Baseline, ModelError, baselines_of, travels
 from studies.environments.text import (
     arm_facts,
     baseline_table,
@@ -318,7 +318,7 @@ def _under_conditions(name: str, baselines: Sequence[Baseline]) -> list[str]:
         return []
     text = paragraph(
         f"Settled episodes and median settling time under conditions, {episodes_text(rows)}; one column by",
-        f"`flexman league --agents pd pd-shaped --scenarios {name}/{conditions[0]}`:",
+        f"`flexman league --agents {' '.join(AGENTS[each] for each in names)} --scenarios {name}/{conditions[0]}`:",
     )
     return [*text, "", *markdown_table(("baseline", *(f"`{each}`" for each in conditions)), cells), ""]
 

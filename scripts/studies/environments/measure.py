@@ -72,9 +72,13 @@ BASELINES = {"no torque": "zero", "PD": "pd", "tracking LQR": "lqr-tracking"}
 """Name of a baseline on the pages -> agent. The tracking LQR is given the parameters and the state of the arm."""
 
 
-SHAPED = "PD with input shaper"
-"""Name of the agent pd-shaped, a baseline of environments whose foundation travels."""
-CONDITIONS = ("payload", "unknown", "short-rope", "long-rope")  # of an environment whose foundation travels
+SHAPED, ADAPTIVE = "PD with input shaper", "adaptive LQR"
+"""Names of the agents pd-shaped and adaptive-lqr, baselines of environments with a hanging load."""
+AGENTS = {"PD": "pd", SHAPED: "pd-shaped", ADAPTIVE: "adaptive-lqr"}  # baselines under CONDITIONS
+CONDITIONS = {  # environment with a hanging load -> conditions of its table
+    "FlexGantry-v0": ("payload", "unknown", "short-rope", "long-rope"),
+    "FlexCrane-v0": ("payload", "stiffness", "unknown", "delay", "friction"),
+}
 TRAVEL_VIDEO = 12.0, 4.0  # s, 1/s; motion and frames per second in the GIF of an environment whose foundation travels
 
 
@@ -84,11 +88,10 @@ def travels(name: str) -> bool:
 
 
 def baselines_of(name: str) -> dict[str, str]:
-    """Return the baselines of an environment, name -> agent; the tracking LQR needs a motor at each joint."""
-    named = NAMED_ENVIRONMENTS[name]
-    passive = any(joint.passive for joint in named.arm.joints)
-    found = {each: agent for each, agent in BASELINES.items() if not passive or each != "tracking LQR"}
-    return found | {SHAPED: "pd-shaped"} if travels(name) else found
+    """Return the baselines of an environment, name -> agent; the tracking LQR needs a motor."""
+    passive = [joint.passive for joint in NAMED_ENVIRONMENTS[name].arm.joints]
+    found = {each: agent for each, agent in BASELINES.items() if not all(passive) or each != "tracking LQR"}
+    return found | {SHAPED: "pd-shaped"} if any(passive) else found
 
 
 LONG, LONG_NAME = 30.0, "PD, episodes of 30 s"  # s; horizon in which the PD of FlexRRR-v0 settles; name of its row
@@ -151,13 +154,11 @@ def baseline_rows(name: str, runs: Mapping[str, Rollout]) -> list[Baseline]:
 
 
 def condition_rows(name: str) -> list[Baseline]:
-    """Return the metrics of PD and PD with input shaper under CONDITIONS; [] for a foundation that does not travel."""
-    if not travels(name):
-        return []
-    agents = {"PD": "pd", SHAPED: "pd-shaped"}
+    """Return the metrics of the baselines with a controller under CONDITIONS; [] for an environment without."""
+    agents = {baseline: agent for baseline, agent in AGENTS.items() if not travels(name) or baseline != ADAPTIVE}
     return [
         row
-        for condition in CONDITIONS
+        for condition in CONDITIONS.get(name, ())
         for row in baseline_rows(
             f"{name}/{condition}", {each: run(f"{name}/{condition}", agent) for each, agent in agents.items()}
         )
@@ -177,14 +178,13 @@ def draw(runs: Mapping[str, Rollout], path: Path) -> None:
     The commands are the largest torque relative to its limit or, of a moving foundation, its speed relative to the
     largest.
     """
-    pair = [runs[baseline].episode(0) for baseline in ("PD", "tracking LQR", SHAPED) if baseline in runs]
+    shown = [baseline for baseline in ("PD", "tracking LQR", SHAPED) if baseline in runs][:2]
+    pair = [runs[baseline].episode(0) for baseline in shown]
     travel = find_foundation(NAMED_ENVIRONMENTS[path.name].foundation) if travels(path.name) else None
     seconds, rate, gain = (SECONDS, RATE, suggested_gain(pair)) if travel is None else (*TRAVEL_VIDEO, 1.0)
     write_video(side_by_side(pair, SIZE, rate, seconds, HOLD, gain), path.with_suffix(".gif"), rate)
     figure, ((left, right),) = new_chart((7.6, 2.7), columns=2)
-    for baseline, colour in (("no torque", SLATE), ("PD", BLUE), ("tracking LQR", RED), (SHAPED, RED)):
-        if baseline not in runs:
-            continue
+    for baseline, colour in zip(("no torque", *shown), (SLATE, BLUE, RED), strict=False):
         episode = runs[baseline].episode(0)
         left.semilogy(episode.time, np.maximum(1e3 * episode.errors, LEAST), color=colour, label=baseline)
         if baseline != "no torque":
