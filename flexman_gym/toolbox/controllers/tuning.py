@@ -25,11 +25,8 @@ from flexman_gym.toolbox.controllers.arm_scales import ArmScales
 from flexman_gym.toolbox.controllers.lqr import LQR
 from flexman_gym.toolbox.controllers.margins import MIN_MARGINS, Margins, SampledLoop, has_margins, margins
 from flexman_gym.toolbox.controllers.pd_design import PDDesign, joint_gains
-from flexman_gym.toolbox.controllers.references.optimised_slews import (
-    OptimisedController,
-    SingleShooting,
-    SlewTable,
-)
+from flexman_gym.toolbox.controllers.references.optimised_slews import OptimisedController, SlewTable
+from flexman_gym.toolbox.controllers.references.single_shooting import SingleShooting
 
 LOCAL_DEVIATIONS = np.geomspace(0.5, 0.1, 8)  # standard deviation of log(gains) in each round around the best gains
 BLOCK_CANDIDATES = 15  # number of candidates evaluated in one rollout

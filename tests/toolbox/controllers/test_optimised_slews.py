@@ -17,16 +17,18 @@ from flexman_gym.metrics import settling_time
 from flexman_gym.model.dynamics import mass_matrix
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.toolbox.controllers.lqr import LQR
-from flexman_gym.toolbox.controllers.references import optimised_slews
+from flexman_gym.toolbox.controllers.references import single_shooting
 from flexman_gym.toolbox.controllers.references.optimised_slews import (
     COMMAND,
+    SHIPPED_TABLE,
+    OptimisedController,
+    SlewTable,
+)
+from flexman_gym.toolbox.controllers.references.single_shooting import (
     SETTLED_BAND,
     SETTLING_TIME,
-    SHIPPED_TABLE,
     TAIL_TIME,
-    OptimisedController,
     SingleShooting,
-    SlewTable,
 )
 from flexman_gym.toolbox.controllers.tuning import empty_slew_table, optimise_slews
 
@@ -119,7 +121,7 @@ def test_slopes_are_those_of_errors():
 def test_slopes_that_follow_a_move_map_it_to_the_change_and_others_as_before():
     random = np.random.default_rng(2)
     slopes, move, change = random.normal(size=(4, 5, 3)), random.normal(size=4), random.normal(size=(5, 3))
-    result, across = optimised_slews._broyden_update(slopes, move, change), np.array([move[1], -move[0], 0.0, 0.0])
+    result, across = single_shooting._broyden_update(slopes, move, change), np.array([move[1], -move[0], 0.0, 0.0])
     assert np.tensordot(move, result, 1) == pytest.approx(change)
     assert np.tensordot(across, result, 1) == pytest.approx(np.tensordot(across, slopes, 1))
 

@@ -1,0 +1,256 @@
+"""Single shooting: torques of the slew with the shortest settling time, between knots, by Gauss-Newton steps."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from flexman_gym.common.arrays import Array, row_dots
+from flexman_gym.kernels.layout import OK, TIP
+from flexman_gym.model.statics import holding_torques, rest_state, rest_tips
+from flexman_gym.simulation.batch import Batch
+from flexman_gym.toolbox.controllers.arm_scales import SlewBounds
+from flexman_gym.toolbox.controllers.lqr import FEEDFORWARD_FRACTION, LQR
+from flexman_gym.toolbox.controllers.references.trajectories import plan_slew
+
+KNOT_SPACING = 0.1  # s; time between two knots of the torques
+TAIL_TIME = 0.2  # s; duration of the torques after the arrival of the tip
+SETTLING_TIME = 1.0  # s; duration of control by the LQR after the optimised torques
+MIN_KNOTS = 4  # smallest number of knots
+FIRST_FACTOR = 0.8  # dimensionless; first trial duration, relative to a minimum-jerk slew
+SHORTER_FACTOR = 0.88  # dimensionless; next trial duration after a success, relative to the last
+LONGER_FACTOR = 1.12  # dimensionless; next trial duration after a failure, relative to the last
+DURATION_TOLERANCE = 0.012  # dimensionless; relative difference of failed and successful duration that ends the search
+MAX_DURATIONS = 40  # largest number of trial durations
+MAX_STEPS = 60  # largest number of Gauss-Newton steps for one duration
+MAX_JACOBIANS = 12  # largest number of Jacobians for one duration
+INNER_BAND = 0.6  # fraction of the band; smaller errors have no weight
+SETTLED_BAND = 0.995  # fraction of the band within which the tip counts as settled
+DAMPING_FACTORS = np.array([0.1, 1.0, 10.0, 100.0])  # dimensionless; changes of the damping that are tried in each step
+MIN_DAMPING = 1e-6  # dimensionless; least damping of the Gauss-Newton matrix
+MAX_DAMPING = 1e3  # dimensionless; largest damping
+INITIAL_DAMPING = 1e-2  # 1
+MAX_COST_RATIO = 0.9  # dimensionless; largest ratio of the costs after and before a successful step
+BROYDEN_UPDATES = 5  # number of successful steps with one Jacobian
+TORQUE_STEP = 0.005  # fraction of the torque limits; perturbation for the Jacobian
+RATE_BOUND = 0.97  # fraction of the largest motor rate above which rates are penalised
+MAX_RATE = 0.99  # fraction of the largest motor rate that a solution may reach
+RATE_WEIGHT = 50.0  # bands; penalty of a rate that exceeds RATE_BOUND by the largest rate
+FAILURE_ERROR = 1e3  # bands; error of an arm whose simulation failed
+COST_DIFFERENCE_STEP = 1e-4  # fraction of the torque limits; perturbation for the Jacobian of the residuals
+MIN_DISTANCE = 1e-12  # m; avoids division by zero
+BOUND_MARGIN = 1e-9  # fraction of the torque limits; keeps bounds apart that rounding would exchange
+
+
+class SlewTorques(NamedTuple):
+    """Torques of a slew over T control periods; afterwards an LQR acts at the goal.
+
+    Attributes:
+        knots: (K, n) torques at equal intervals from start to end, N m.
+        periods: T, number of control periods.
+        arrival: number of control periods after which the tip stays within the band.
+    """
+
+    knots: Array
+    periods: int
+    arrival: int
+
+
+def interpolate_torques(knots: Array, periods: int) -> Array:
+    """Return the torques (..., T, n) in the middles of control periods, linear between knots (..., K, n)."""
+    positions = (np.arange(periods) + 0.5) / periods * (knots.shape[-2] - 1)
+    lower = np.minimum(positions.astype(int), knots.shape[-2] - 2)
+    part = (positions - lower)[:, None]
+    result: Array = knots[..., lower, :] * (1.0 - part) + knots[..., lower + 1, :] * part
+    return result
+
+
+def _broyden_update(jacobian: Array, step: Array, change: Array) -> Array:
+    """Return the Jacobian (m, ...) after Broyden's rank-one update (Mathematics of Computation 19, 1965, 577).
+
+    Args:
+        jacobian: (m, ...) Jacobian before the step, a row for each variable.
+        step: (m,) change of the variables.
+        change: (...) change of the function by the step.
+    """
+    error = change - np.tensordot(step, jacobian, 1)
+    result: Array = jacobian + np.multiply.outer(step / (step @ step), error)
+    return result
+
+
+class SingleShooting:
+    """Time-optimal slew of one arm between two equilibria, by single shooting.
+
+    Torques with one perturbed knot each are simulated together in a Batch. Damped Gauss-Newton steps within the torque
+    limits bring the tip into the band from an arrival time on, with Broyden's updates of the Jacobian. The arrival time
+    is reduced, starting from the last solution, until no solution is found.
+
+    Args:
+        regulator: LQR about the goal, with the model, torque limits and control period of the arm.
+        make_batch: function that returns a Batch with a given number of these arms.
+        band: distance from the target within which the tip counts as settled, m.
+        max_rate: largest motor rate, rad/s.
+        start: (n,) initial motor angles, rad.
+        goal: (n,) final motor angles, rad.
+    """
+
+    def __init__(
+        self,
+        regulator: LQR,
+        make_batch: Callable[[int], Batch],
+        band: float,
+        max_rate: float,
+        start: Array,
+        goal: Array,
+    ) -> None:
+        self._max_rate = max_rate
+        self._regulator, self._make_batch, self._band, self._ends = regulator, make_batch, band, (start, goal)
+        self._batches: dict[int, Batch] = {}
+        model = regulator.model
+        self._start, self._rest = rest_state(model, start), rest_state(model, goal)
+        self._holding_torques = np.array([holding_torques(model, posture) for posture in (start, goal)])
+        self._gain, self._target = regulator.gain(goal), rest_tips(model, goal[None])[0]
+        self._tail, self._settling = (round(time / regulator.period) for time in (TAIL_TIME, SETTLING_TIME))
+
+    def search(self) -> SlewTorques | None:
+        """Return the fastest slew found; None if no slew settles."""
+        torques = plan_slew(
+            self._regulator.model,
+            *self._ends,
+            SlewBounds(self._regulator.limits, FEEDFORWARD_FRACTION),
+            self._regulator.period,
+        )
+        count = len(torques.torques)
+        solution, best, factor = SlewTorques(torques.torques, count, count), None, SHORTER_FACTOR
+        arrival = max(1, round(FIRST_FACTOR * solution.periods))
+        for _ in range(MAX_DURATIONS):
+            found = self._solve(self._rescale(solution, arrival), arrival)
+            if found is not None:
+                solution = best = found
+                arrival = min(round(factor * best.arrival), best.arrival - 1)
+            elif best is None:
+                arrival = int(np.ceil(LONGER_FACTOR * arrival))
+            else:
+                gap = best.arrival - arrival
+                if gap <= max(1.0, DURATION_TOLERANCE * best.arrival):
+                    break
+                arrival, factor = best.arrival - gap // 2, 0.5 + 0.5 * factor
+            if arrival < 1:
+                break
+        return best
+
+    def errors(self, knots: Array, periods: int) -> Array:
+        """Return the errors (r, T + W, 3 + n) at the ends of control periods for knots (r, K, n).
+
+        W control periods under the LQR follow the T periods of the slew. An error consists of the position error (3,)
+        of the tip, m, and the motor rates (n,) as fractions of the largest rate.
+        """
+        limits, n = self._regulator.limits, len(self._regulator.limits)
+        batch, rates = self._batch(len(knots)), self._regulator.model.n_dof + self._regulator.model.motor_columns
+        result = np.empty((len(knots), periods + self._settling, 3 + n))
+        drives = np.zeros((len(knots), periods, n + 6))  # motor torques, tip force, base acceleration
+        drives[..., :n] = np.clip(interpolate_torques(knots, periods) / limits, -1.0, 1.0) * limits
+        states, read = batch.roll(drives)
+        result[:, :periods, :3], result[:, :periods, 3:] = (
+            read[..., TIP] - self._target,
+            states[..., rates] / self._max_rate,
+        )
+        drive = np.zeros((len(knots), n + 6))
+        for period in range(periods, periods + self._settling):
+            torques = self._holding_torques[1] - row_dots(self._gain, (batch.state - self._rest)[:, None])
+            torques = self._regulator.compensated(torques, batch.state)
+            drive[:, :n] = np.clip(torques / limits, -1.0, 1.0) * limits
+            batch.step(drive)
+            result[:, period, :3] = batch.outputs[:, TIP] - self._target
+            result[:, period, 3:] = batch.state[:, rates] / self._max_rate
+        result[batch.status != OK] = FAILURE_ERROR * self._band
+        return result
+
+    def _batch(self, count: int) -> Batch:
+        if count not in self._batches:
+            self._batches[count] = self._make_batch(count)
+        self._batches[count].reset(np.arange(count), np.tile(self._start, (count, 1)))
+        return self._batches[count]
+
+    def _rescale(self, solution: SlewTorques, arrival: int) -> Array:
+        """Return the knots (K, n) of a slew, rescaled to an arrival time (control periods).
+
+        The inertial part of the torques scales with the square of the speed.
+        """
+        periods, limits, speed = arrival + self._tail, self._regulator.limits, solution.arrival / arrival
+        times = np.linspace(0.0, periods, max(MIN_KNOTS, round(periods * self._regulator.period / KNOT_SPACING) + 1))
+        knot_times = np.linspace(0.0, solution.periods, len(solution.knots))
+        torques = np.array([np.interp(speed * times, knot_times, column) for column in solution.knots.T]).T
+        holding = self._holding_torques[0] + np.minimum(times / arrival, 1.0)[:, None] * (
+            self._holding_torques[1] - self._holding_torques[0]
+        )
+        return np.clip(holding + (torques - holding) * speed**2, -limits, limits)
+
+    def _solve(self, knots: Array, arrival: int) -> SlewTorques | None:
+        """Return the slew whose tip stays within the band from the arrival on; None if the iteration fails."""
+        periods, damping, updates, jacobians = arrival + self._tail, INITIAL_DAMPING, 0, 1
+        errors, jacobian = self._jacobian(knots, periods)
+        for _ in range(MAX_STEPS):
+            outside = np.flatnonzero(np.linalg.norm(errors[:, :3], axis=1) > SETTLED_BAND * self._band)
+            if outside.max(initial=-1) < arrival - 1 and np.abs(errors[:, 3:]).max() <= MAX_RATE:
+                return SlewTorques(knots, periods, int(outside.max(initial=-1)) + 2)
+            tried = self._steps(knots, errors, jacobian, arrival, damping * DAMPING_FACTORS)
+            candidate_errors = self.errors(tried, periods)
+            costs = np.square(self._residuals(np.concatenate([candidate_errors, errors[None]]), arrival)).sum(axis=1)
+            best = int(np.argmin(costs[:-1]))
+            better = costs[best] < MAX_COST_RATIO * costs[-1]
+            if better:
+                step = ((tried[best] - knots) / self._regulator.limits).ravel()
+                jacobian = _broyden_update(jacobian, step, candidate_errors[best] - errors)
+                knots, errors, updates = tried[best], candidate_errors[best], updates + 1
+                damping = float(np.clip(damping * DAMPING_FACTORS[best], MIN_DAMPING, MAX_DAMPING))
+            elif updates == 0:
+                damping *= MAX_DAMPING
+            if updates and (updates == BROYDEN_UPDATES or not better):
+                errors, jacobian = self._jacobian(knots, periods)
+                updates, jacobians = 0, jacobians + 1
+            if damping > MAX_DAMPING**2 or jacobians > MAX_JACOBIANS:
+                break
+        return None
+
+    def _jacobian(self, knots: Array, periods: int) -> tuple[Array, Array]:
+        """Return the errors of knots (K, n) and their Jacobian (K n, T + W, 3 + n), per fraction of the limits."""
+        steps = TORQUE_STEP * self._regulator.limits * np.eye(knots.size).reshape(-1, *knots.shape)
+        errors = self.errors(np.concatenate([knots[None], knots + steps]), periods)
+        return errors[0], (errors[1:] - errors[0]) / TORQUE_STEP
+
+    def _residuals(self, errors: Array, arrival: int) -> Array:
+        """Return the residuals (r, ...) of errors (r, T + W, 3 + n), in bands.
+
+        The residuals are the tip errors beyond the inner band in every second period from the arrival on, and the
+        motor rates above RATE_BOUND.
+        """
+        late_errors, rates = errors[:, arrival - 1 :: 2, :3], errors[..., 3:]
+        distances = np.linalg.norm(late_errors, axis=2, keepdims=True)
+        candidate_errors = (
+            late_errors
+            * np.maximum(0.0, 1.0 - INNER_BAND * self._band / np.maximum(distances, MIN_DISTANCE))
+            / self._band
+        )
+        fast = RATE_WEIGHT * (rates - np.clip(rates, -RATE_BOUND, RATE_BOUND))
+        return np.concatenate([candidate_errors.reshape(len(errors), -1), fast.reshape(len(errors), -1)], axis=1)
+
+    def _steps(self, knots: Array, errors: Array, jacobian: Array, arrival: int, dampings: Array) -> Array:
+        """Return the knots (r, K, n) after a Gauss-Newton step with each damping (r,), within the torque limits."""
+        from scipy.optimize import lsq_linear
+
+        limits = self._regulator.limits
+        residuals = self._residuals(
+            np.concatenate([errors[None], errors + COST_DIFFERENCE_STEP * jacobian]), arrival
+        ).reshape(len(jacobian) + 1, -1)
+        slopes = (residuals[1:] - residuals[0]) / COST_DIFFERENCE_STEP
+        # in the eigenvectors of J J^T, so that each damping requires a small problem only
+        squares, axes = np.linalg.eigh(slopes @ slopes.T)
+        target, current = axes.T @ (slopes @ residuals[0]), (knots / limits).ravel()
+        bounds = -1.0 - BOUND_MARGIN - current, 1.0 + BOUND_MARGIN - current
+        result = []
+        for damping in dampings:
+            scale = np.sqrt(np.maximum(squares, 0.0) + damping)
+            step = lsq_linear(scale[:, None] * axes.T, -target / scale, bounds, method="bvls").x
+            result.append(np.clip(knots + limits * step.reshape(knots.shape), -limits, limits))
+        return np.array(result)
