@@ -4,11 +4,12 @@ The paper is "Dynamic modeling and simulation of spatial manipulator with flexib
 """
 
 from collections.abc import Callable
+from functools import lru_cache
 from typing import TypeGuard
 
 import numpy as np
 
-from flexman_gym.common.arrays import Array, BoolArray, Matrix, Vector
+from flexman_gym.common.arrays import Array, BoolArray, IntArray, Matrix, Vector
 from flexman_gym.common.checks import check_magnitudes, flag, number_array, vector
 from flexman_gym.common.errors import value_error
 from flexman_gym.kernels import dynamics, inverse, outputs
@@ -19,6 +20,8 @@ from flexman_gym.kernels.layout import (
     TIP_ACCELERATION,
     TIP_ACCELERATIONS,
     TIP_VELOCITY,
+    Constants,
+    Work,
     make_work,
 )
 from flexman_gym.model.friction import coulomb_torques
@@ -341,10 +344,19 @@ def inertial_jacobian(model: Model, motion: Array) -> Array:
         model: model of the arm.
         motion: (3, d) coordinates, speeds and accelerations; the columns are their entries in this order.
     """
-    constants, work = tangent_constants(model.constants), make_work(model.constants, aligned_zeros)
     out = np.zeros((model.n_dof + 3, motion.size))
-    inverse.inertial_jacobian(address_tables(TangentTables, constants, work), motion, out)
+    inverse.inertial_jacobian(_tangent_tables(model)[0], motion, out)
     return out
+
+
+@lru_cache(maxsize=16)
+def _tangent_tables(model: Model) -> tuple[tuple[IntArray, IntArray], Constants, Work]:
+    """Return addresses of the arrays of a model with derivatives, and the arrays, which must live as long.
+
+    All calls can share the scratch arrays, see `statics._System`.
+    """
+    constants, work = tangent_constants(model.constants), make_work(model.constants, aligned_zeros)
+    return address_tables(TangentTables, constants, work), constants, work
 
 
 def tip_jacobian(model: Model, x: Array) -> Array:

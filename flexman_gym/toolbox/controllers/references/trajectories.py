@@ -114,7 +114,6 @@ TIMING_LAWS = {  # name -> timing law from 0 to 1 with duration 1; the phases ha
 DEFLECTION_PASSES = 3  # fixed-point iterations of the deflection under the inertia of the deflected arm
 SINGULAR_CUTOFF = 0.05  # fraction of the largest singular value of the tip Jacobian; smaller ones are excluded
 STEP_DAMPING = 0.01  # fraction of the largest singular value; damping of a step towards a tip position
-ANGLE_STEP = 1e-5  # rad; step of the differences of equilibrium coordinates
 SOLVE_INTERVAL = 4  # control periods between two points of a path at which the deflection is computed
 REST_POINTS = 6  # number of points at rest before the start of a path at which the deflection is computed
 PATH_SAMPLES = 21  # number of points of a path at which torques are compared with their limits
@@ -382,9 +381,15 @@ class DeflectionCompensation:
 
     def _hanging_rotations(self, rest: Array) -> Array:
         """Return the changes (n, d) of equilibrium coordinates by motor angles, per rad; 0 for passive joints."""
-        model, posture = self._model, rest[self._model.motor_columns]
-        turned = rest_state(model, posture + ANGLE_STEP * np.eye(model.n_joints))[:, : model.n_dof]
-        return (turned - rest_state(model, posture)[: model.n_dof]) / ANGLE_STEP
+        model, d = self._model, self._model.n_dof
+        free = np.setdiff1d(np.arange(d), model.driven_columns)
+        _, stiffness = tangent_matrices(model, np.array([rest, np.zeros(d), np.zeros(d)]), np.arange(d))
+        motors, result = np.flatnonzero(model.constants.passive == 0), np.zeros((model.n_joints, d))
+        result[motors, model.driven_columns] = 1.0
+        result[np.ix_(motors, free)] = -np.linalg.solve(
+            stiffness[np.ix_(free, free)], stiffness[np.ix_(free, model.driven_columns)]
+        ).T
+        return result
 
     def _outputs(self, x: Array, v: Array) -> Array:
         outputs.compute_outputs(self._model.constants, self._work, x, v, self._row)
