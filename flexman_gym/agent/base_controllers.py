@@ -84,6 +84,7 @@ BASES: Registry[ControllerEntry] = Registry("controller", {
     "hinf": f"{_PLACE}.hinf:ENTRY",
     "mpc": f"{_PLACE}.mpc:ENTRY",
     "optimised": f"{_PLACE}.references.optimised_slews:ENTRY",
+    "planned": f"{_PLACE}.references.planned_slews:ENTRY",
     "adaptive-lqr": f"{_PLACE}.output_feedback:ADAPTIVE_ENTRY",
     "privileged-lqr": f"{_PLACE}.output_feedback:PRIVILEGED_ENTRY",
     "pd-shaped": f"{_PLACE}.input_shaping.shaped_controller:ENTRY",

@@ -25,6 +25,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
                        help="first seed and number of episodes (default: 9000 100)")  # fmt: skip
     slews.add_argument("--out", type=output_file, required=True, metavar="FILE",
                        help="table of slews (.npz); slews in an existing table are kept")  # fmt: skip
+    slews.add_argument("--learn", action="store_true", help="begin searches with slews predicted from the table")
     known = "environment: an id, an id with a condition such as FlexRRR-v0/delay, or a file"
     gains.add_argument("environment", help=known)
     gains.add_argument("--no-margins", action="store_true", help="also try gains without gain and phase margins")
@@ -57,12 +58,14 @@ def _run_slews(options: argparse.Namespace) -> int:
             f"--seeds: {first} {count} is not allowed; give a first seed >= 0 and a number of episodes >= 1"
         )
     table = SlewTable.load(options.out) if options.out.exists() else empty_slew_table(environment)
-    table.about = {**table.about, "command": f"flexman optimise slews {options.environment} --seeds {first} {count}"}
+    learn = " --learn" if options.learn else ""
+    command = f"flexman optimise slews {options.environment} --seeds {first} {count}{learn}"
+    table.about = {**table.about, "command": command}
     if all(seed in table.found for seed in range(first, first + count)):
         print("no slew is missing; nothing is left to do")
     else:
         print(f"{'seed':>8}{'settling, s':>13}{'tracking LQR, s':>17}{'ratio':>7}{'search, CPU s':>15}")
-    for slew in optimise_slews(environment, range(first, first + count), table):
+    for slew in optimise_slews(environment, range(first, first + count), table, options.learn):
         ratio = slew.settling_time / slew.tracking
         line = f"{slew.seed:>8}{slew.settling_time:>13.2f}{slew.tracking:>17.2f}{ratio:>7.2f}{slew.cpu_time:>15.1f}"
         print(line, flush=True)

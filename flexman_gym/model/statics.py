@@ -14,6 +14,7 @@ from flexman_gym.kernels.layout import OUTPUTS, TIP, Work, make_work
 from flexman_gym.model.dynamics import elastic_forces, inertial_forces, stiffness_matrix
 from flexman_gym.model.model import Model, check_model
 
+TRIED_ANGLE = 0.3  # rad; motor angles at which the weight is compared
 LARGEST_FACTOR, FACTOR_TOLERANCE = 1e6, 1e-3  # of the search for the stiffness of a joint that is too soft, 1
 
 
@@ -178,6 +179,12 @@ def rigid_holding_torques(model: Model, motor_angles: Array) -> Array:
     """
     zero = np.zeros(model.n_dof)
     return inertial_forces(model)(model.at_rest(motor_angles[None])[0, : model.n_dof], zero, zero)[: model.n_joints]
+
+
+def first_angle_is_free(model: Model) -> bool:
+    """Return True for an arm whose motion does not depend on its first angle: without gravity or about its axis."""
+    posture, rotation = np.full(model.n_joints, TRIED_ANGLE), np.eye(model.n_joints)[0]
+    return np.allclose(holding_torques(model, posture), holding_torques(model, posture + rotation))
 
 
 def rest_tips(model: Model, postures: Array) -> Array:

@@ -15,7 +15,7 @@ from flexman_gym.kernels.cache import find_cache_folder
 from flexman_gym.model.friction import frictionless
 from flexman_gym.model.linearization import SLIDING
 from flexman_gym.model.model import Model
-from flexman_gym.model.statics import holding_torques
+from flexman_gym.model.statics import first_angle_is_free
 from flexman_gym.simulation.physical_parameters import varied_model
 from flexman_gym.toolbox.controllers.cost_weights import CostWeights, posture_gain
 
@@ -86,9 +86,7 @@ class GainTable:
 
     def __init__(self, designs: GainDesigns) -> None:
         self._designs, model = designs, designs.model
-        posture, rotation = np.full(model.n_joints, 0.3), np.eye(model.n_joints)[0]
-        invariant = np.allclose(holding_torques(model, posture), holding_torques(model, posture + rotation))
-        self._joints = np.arange(1 if invariant else 0, model.n_joints)
+        self._joints = np.arange(1 if first_angle_is_free(model) else 0, model.n_joints)
         self._rows: dict[tuple[int, ...], int] = {}  # grid point -> row of its gain
         self._corner_rows: dict[bytes, list[int]] = {}  # cell -> rows of the gains at its corners
         self._gains = np.zeros((0, model.n_joints, 2 * model.n_dof))

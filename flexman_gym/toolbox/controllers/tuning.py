@@ -27,7 +27,10 @@ from flexman_gym.toolbox.controllers.margins import MIN_MARGINS, Margins, Sample
 from flexman_gym.toolbox.controllers.pd_design import PDDesign, joint_gains
 from flexman_gym.toolbox.controllers.references.optimised_slews import OptimisedController, SlewTable
 from flexman_gym.toolbox.controllers.references.single_shooting import SingleShooting
+from flexman_gym.toolbox.controllers.references.slew_regression import SlewRegression
 
+LEARN_FROM, LEARN_AGAIN = 50, 50  # numbers of slews
+NEXT_FACTOR = 0.96  # duration tried after a success from a predicted slew / that of the success
 LOCAL_DEVIATIONS = np.geomspace(0.5, 0.1, 8)  # standard deviation of log(gains) in each round around the best gains
 BLOCK_CANDIDATES = 15  # number of candidates evaluated in one rollout
 DRAWS = 100  # largest number of draws for each candidate
@@ -169,7 +172,9 @@ def empty_slew_table(environment: Configuration) -> SlewTable:
     return SlewTable(metadata, fingerprint)
 
 
-def optimise_slews(environment: Configuration, seeds: Sequence[int], table: SlewTable) -> Iterator[_SlewResult]:
+def optimise_slews(
+    environment: Configuration, seeds: Sequence[int], table: SlewTable, learn: bool = False
+) -> Iterator[_SlewResult]:
     """Optimise the slews of episodes that a table lacks, and add them to the table.
 
     The settling time of a slew is measured by simulating its torques in the environment.
@@ -178,6 +183,9 @@ def optimise_slews(environment: Configuration, seeds: Sequence[int], table: Slew
         environment: environment of the slews, without randomisation and disturbances.
         seeds: seeds of the episodes.
         table: table of slews of this environment.
+        learn: True to begin each search with the slew that a regression of the table predicts (expert iteration,
+            Anthony, Tian and Barber, NIPS 2017). The regression begins with LEARN_FROM slews, and is fitted again after
+            every LEARN_AGAIN slews.
 
     Yields:
         _SlewResult: seed, settling times (s) and CPU time (s) of a slew.
@@ -205,9 +213,17 @@ def optimise_slews(environment: Configuration, seeds: Sequence[int], table: Slew
     tracked = rollout("lqr-tracking", environment, missing, episodes.append)
     parameters = episodes[0].view.episode_parameters
     draws = np.stack([parameters["start"], parameters["goal_angles"]], axis=1)
+    regression: SlewRegression | None = None
     for seed, start_and_goal, record in zip(missing, draws, tracked.records, strict=True):
+        if learn and len(table.found) >= LEARN_FROM and (regression is None or len(table.found) % LEARN_AGAIN == 0):
+            regression = SlewRegression.of_model(table, model, np.array(limits))
         start = time.process_time()
-        slew = SingleShooting(regulator, make_batch, record.band, environment.limits.rate, *start_and_goal).search()
+        shooting = SingleShooting(regulator, make_batch, record.band, environment.limits.rate, tuple(start_and_goal))
+        slew = None
+        if regression is not None:
+            guess = regression.predict(*start_and_goal)
+            slew = shooting.improve(guess, guess.arrival, NEXT_FACTOR)
+        slew = slew or shooting.search()
         cpu_time, settling = time.process_time() - start, np.inf
         if slew is not None:
             table.found[seed] = start_and_goal, slew, settling

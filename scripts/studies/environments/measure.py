@@ -77,7 +77,7 @@ SHAPED, ADAPTIVE = "PD with input shaper", "adaptive LQR"
 AGENTS = {"PD": "pd", SHAPED: "pd-shaped", ADAPTIVE: "adaptive-lqr"}  # baselines under CONDITIONS
 CONDITIONS = {  # environment with a hanging load -> conditions of its table
     "FlexGantry-v0": ("payload", "unknown", "short-rope", "long-rope"),
-    "FlexCrane-v0": ("payload", "stiffness", "unknown", "delay", "friction"),
+    "FlexCrane-v0": ("payload", "unknown"),
 }
 TRAVEL_VIDEO = 12.0, 4.0  # s, 1/s; motion and frames per second in the GIF of an environment whose foundation travels
 

@@ -42,7 +42,7 @@ def shooting(model, limits, band, start, goal, rate=1e3, **moved):
     moved = {"method": "midpoint_3", "step": PERIOD, "control_period": PERIOD} | moved
     regulator = LQR(model, limits, moved["control_period"])
     return SingleShooting(
-        regulator, lambda arms: Batch(model, arms=arms, **moved), band, rate, np.array(start), np.array(goal)
+        regulator, lambda arms: Batch(model, arms=arms, **moved), band, rate, (np.array(start), np.array(goal))
     )
 
 
@@ -135,7 +135,7 @@ def test_a_stretched_slew_holds_as_before_and_moves_with_the_square_of_its_speed
     moving = np.concatenate([held + np.sin(2.0 * np.pi * parts), np.repeat(ends[1:], 2 * tail, axis=0)])
     known = made_up(moving, len(moving) - 1, 50)
     for arrival, factor in ((50, 1.0), (25, 4.0), (100, 0.25)):
-        knots = search._rescale(known, arrival)
+        knots = search.rescale(known, arrival)
         come = np.minimum(np.linspace(0.0, arrival + tail, len(knots)) / arrival, 1.0)[:, None]
         expected = ends[0] + come * (ends[1] - ends[0]) + factor * np.sin(2.0 * np.pi * come)
         assert knots == pytest.approx(expected, abs=1e-2 * factor)

@@ -13,6 +13,7 @@ from flexman_gym.toolbox.controllers.arm_scales import SlewBounds
 from flexman_gym.toolbox.controllers.lqr import FEEDFORWARD_FRACTION, LQR
 from flexman_gym.toolbox.controllers.references.trajectories import plan_slew
 
+# Times of an arm whose slews last 3 s, as those of FlexRRR-v0; others in proportion
 KNOT_SPACING = 0.1  # s; time between two knots of the torques
 TAIL_TIME = 0.2  # s; duration of the torques after the arrival of the tip
 SETTLING_TIME = 1.0  # s; duration of control by the LQR after the optimised torques
@@ -20,6 +21,8 @@ MIN_KNOTS = 4  # smallest number of knots
 FIRST_FACTOR = 0.8  # dimensionless; first trial duration, relative to a minimum-jerk slew
 SHORTER_FACTOR = 0.88  # dimensionless; next trial duration after a success, relative to the last
 LONGER_FACTOR = 1.12  # dimensionless; next trial duration after a failure, relative to the last
+LATE_FACTOR = 1.08  # dimensionless; first trial duration / predicted one; with 1, a third of the slews need more trials
+LATER_FACTOR = 1.05  # dimensionless; next trial duration after a failure of a predicted slew, relative to the last
 DURATION_TOLERANCE = 0.012  # dimensionless; relative difference of failed and successful duration that ends the search
 MAX_DURATIONS = 40  # largest number of trial durations
 MAX_STEPS = 60  # largest number of Gauss-Newton steps for one duration
@@ -79,7 +82,7 @@ def _broyden_update(jacobian: Array, step: Array, change: Array) -> Array:
 
 
 class SingleShooting:
-    """Time-optimal slew of one arm between two equilibria, by single shooting.
+    """Time-optimal slew of one arm from an equilibrium or a motion to an equilibrium, by single shooting.
 
     Torques with one perturbed knot each are simulated together in a Batch. Damped Gauss-Newton steps within the torque
     limits bring the tip into the band from an arrival time on, with Broyden's updates of the Jacobian. The arrival time
@@ -90,8 +93,12 @@ class SingleShooting:
         make_batch: function that returns a Batch with a given number of these arms.
         band: distance from the target within which the tip counts as settled, m.
         max_rate: largest motor rate, rad/s.
-        start: (n,) initial motor angles, rad.
-        goal: (n,) final motor angles, rad.
+        ends: (n,) initial motor angles at rest, rad, or (2 d,) initial state; (n,) final motor angles, rad.
+        budget: largest number of Jacobians of all durations; None for no limit.
+        slowness: duration of a slew of the arm, relative to that of the arm of FlexRRR-v0, by which times are scaled.
+
+    Attributes:
+        jacobians: number of Jacobians computed.
     """
 
     def __init__(
@@ -100,20 +107,24 @@ class SingleShooting:
         make_batch: Callable[[int], Batch],
         band: float,
         max_rate: float,
-        start: Array,
-        goal: Array,
+        ends: tuple[Array, Array],
+        budget: int | None = None,
+        slowness: float = 1.0,
     ) -> None:
-        self._max_rate = max_rate
-        self._regulator, self._make_batch, self._band, self._ends = regulator, make_batch, band, (start, goal)
+        self._max_rate, self.budget, self.jacobians = max_rate, budget, 0
+        model, (start, goal) = regulator.model, ends
+        posture = start[model.motor_columns] if len(start) == 2 * model.n_dof else start
+        self._regulator, self._make_batch, self._band, self._ends = regulator, make_batch, band, (posture, goal)
         self._batches: dict[int, Batch] = {}
-        model = regulator.model
-        self._start, self._rest = rest_state(model, start), rest_state(model, goal)
-        self._holding_torques = np.array([holding_torques(model, posture) for posture in (start, goal)])
+        self._start, self._rest = start if posture is not start else rest_state(model, start), rest_state(model, goal)
+        self._holding_torques = np.array([holding_torques(model, each) for each in (posture, goal)])
         self._gain, self._target = regulator.gain(goal), rest_tips(model, goal[None])[0]
-        self._tail, self._settling = (round(time / regulator.period) for time in (TAIL_TIME, SETTLING_TIME))
+        scale = slowness / regulator.period
+        self._tail, self._settling = round(scale * TAIL_TIME), round(scale * SETTLING_TIME)
+        self._spacing = slowness * KNOT_SPACING
 
     def search(self) -> SlewTorques | None:
-        """Return the fastest slew found; None if no slew settles."""
+        """Return the fastest slew found, from a planned slew; None if no slew settles."""
         torques = plan_slew(
             self._regulator.model,
             *self._ends,
@@ -121,10 +132,33 @@ class SingleShooting:
             self._regulator.period,
         )
         count = len(torques.torques)
-        solution, best, factor = SlewTorques(torques.torques, count, count), None, SHORTER_FACTOR
-        arrival = max(1, round(FIRST_FACTOR * solution.periods))
+        return self.improve(SlewTorques(torques.torques, count, count), max(1, round(FIRST_FACTOR * count)))
+
+    def first(self, solution: SlewTorques) -> SlewTorques | None:
+        """Return the first slew found that settles, at the arrival time of a guess or later; None if none settles.
+
+        The first trial is later than the guess by about the error of a predicted arrival time, since no slew arrives
+        before the shortest time.
+        """
+        arrival, found = max(1, round(LATE_FACTOR * solution.arrival)), None
         for _ in range(MAX_DURATIONS):
-            found = self._solve(self._rescale(solution, arrival), arrival)
+            found = self._solve(self.rescale(solution, arrival), arrival)
+            if found is not None or self._exhausted():
+                break
+            arrival = int(np.ceil(LATER_FACTOR * arrival))
+        return found
+
+    def improve(self, solution: SlewTorques, arrival: int, factor: float = SHORTER_FACTOR) -> SlewTorques | None:
+        """Return the fastest slew found from a first guess; None if no slew settles.
+
+        Args:
+            solution: first guess, which need not settle.
+            arrival: first trial of the arrival time, control periods.
+            factor: next trial after a success, relative to the arrival found.
+        """
+        best = None
+        for _ in range(MAX_DURATIONS):
+            found = self._solve(self.rescale(solution, arrival), arrival)
             if found is not None:
                 solution = best = found
                 arrival = min(round(factor * best.arrival), best.arrival - 1)
@@ -135,9 +169,12 @@ class SingleShooting:
                 if gap <= max(1.0, DURATION_TOLERANCE * best.arrival):
                     break
                 arrival, factor = best.arrival - gap // 2, 0.5 + 0.5 * factor
-            if arrival < 1:
+            if arrival < 1 or self._exhausted():
                 break
         return best
+
+    def _exhausted(self) -> bool:
+        return self.budget is not None and self.jacobians >= self.budget
 
     def errors(self, knots: Array, periods: int) -> Array:
         """Return the errors (r, T + W, 3 + n) at the ends of control periods for knots (r, K, n).
@@ -172,13 +209,13 @@ class SingleShooting:
         self._batches[count].reset(np.arange(count), np.tile(self._start, (count, 1)))
         return self._batches[count]
 
-    def _rescale(self, solution: SlewTorques, arrival: int) -> Array:
+    def rescale(self, solution: SlewTorques, arrival: int) -> Array:
         """Return the knots (K, n) of a slew, rescaled to an arrival time (control periods).
 
         The inertial part of the torques scales with the square of the speed.
         """
         periods, limits, speed = arrival + self._tail, self._regulator.limits, solution.arrival / arrival
-        times = np.linspace(0.0, periods, max(MIN_KNOTS, round(periods * self._regulator.period / KNOT_SPACING) + 1))
+        times = np.linspace(0.0, periods, max(MIN_KNOTS, round(periods * self._regulator.period / self._spacing) + 1))
         knot_times = np.linspace(0.0, solution.periods, len(solution.knots))
         torques = np.array([np.interp(speed * times, knot_times, column) for column in solution.knots.T]).T
         holding = self._holding_torques[0] + np.minimum(times / arrival, 1.0)[:, None] * (
@@ -209,12 +246,13 @@ class SingleShooting:
             if updates and (updates == BROYDEN_UPDATES or not better):
                 errors, jacobian = self._jacobian(knots, periods)
                 updates, jacobians = 0, jacobians + 1
-            if damping > MAX_DAMPING**2 or jacobians > MAX_JACOBIANS:
+            if damping > MAX_DAMPING**2 or jacobians > MAX_JACOBIANS or self._exhausted():
                 break
         return None
 
     def _jacobian(self, knots: Array, periods: int) -> tuple[Array, Array]:
         """Return the errors of knots (K, n) and their Jacobian (K n, T + W, 3 + n), per fraction of the limits."""
+        self.jacobians += 1
         steps = TORQUE_STEP * self._regulator.limits * np.eye(knots.size).reshape(-1, *knots.shape)
         errors = self.errors(np.concatenate([knots[None], knots + steps]), periods)
         return errors[0], (errors[1:] - errors[0]) / TORQUE_STEP

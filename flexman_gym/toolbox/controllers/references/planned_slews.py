@@ -1,0 +1,177 @@
+"""Slews optimised in an episode: shooting from a predicted slew, and LQR about the simulated states of the plan."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from flexman_gym.agent.base_controllers import ControllerEntry
+from flexman_gym.agent.controller import EpisodeInfo, Plant
+from flexman_gym.common.arrays import Array, IntArray, pad_rows
+from flexman_gym.common.checks import flag, non_negative, text
+from flexman_gym.metrics.signals import BAND
+from flexman_gym.model.statics import holding_torques, rest_state
+from flexman_gym.toolbox.controllers.arm_scales import NAMED_SLEW, ArmScales
+from flexman_gym.toolbox.controllers.cost_weights import parse_weights
+from flexman_gym.toolbox.controllers.internal_model import InternalModels
+from flexman_gym.toolbox.controllers.lqr import FEEDFORWARD_FRACTION, TrackingLQR, _GainSchedule
+from flexman_gym.toolbox.controllers.references.optimised_slews import SlewTable
+from flexman_gym.toolbox.controllers.references.single_shooting import (
+    SingleShooting,
+    SlewTorques,
+    interpolate_torques,
+)
+from flexman_gym.toolbox.controllers.references.slew_regression import SlewRegression
+from flexman_gym.toolbox.controllers.references.trajectories import plan_slew
+
+LEARNED_TABLE = Path(__file__).parent / "tables" / "FlexRRR-v0-learned.npz"
+JACOBIAN_TIME = 0.03  # s; declared computing time of a Jacobian with its step, for the arm of FlexRRR-v0
+THINKING = 0.4  # s; declared planning time of an episode
+GAIN_POSTURES = 5  # number of postures along a plan at which gains are designed
+PLANNED, PREDICTED, TRACKED = range(3)  # status of a plan: optimised; predicted and not optimised; slew of the LQR
+
+
+class PlannedLQR(TrackingLQR):
+    """LQR about the simulated states of a slew that is optimised at the start of each episode.
+
+    The torques begin as those of similar slews by regression, or of a planned slew without a table of the arm. Single
+    shooting brings the tip into the band in the shortest time that a fixed number of Jacobians finds. The number
+    follows from the declared planning time, so that results do not depend on the computer. Plans of arms and episodes
+    are independent of each other. If no slew settles, the arm tracks the slew of `TrackingLQR`.
+
+    With `moving` the first torques of the prediction are applied during the planning time, and the remaining ones are
+    optimised from the state at its end. If that fails, the prediction is applied to its end.
+
+    Args:
+        plant: plant model.
+        regression: predicted slews of the arm; None for none.
+        thinking: planning time, s; 0 applies the prediction.
+        moving: True to move during the planning time.
+        given: weights and scales, see `LQR`.
+
+    Attributes:
+        status: (b,) PLANNED, PREDICTED or TRACKED.
+        arrivals: (b,) planned time from which the tip stays within the band, s; infinite without a plan.
+        jacobians: (b,) number of Jacobians of the plan.
+    """
+
+    def __init__(
+        self,
+        plant: Plant,
+        regression: SlewRegression | None = None,
+        thinking: object = THINKING,
+        moving: bool = False,
+        **given: Any,
+    ) -> None:
+        super().__init__(plant.model, plant.torque_scales, plant.period, **given)
+        self._regression, self._moving = regression, moving
+        self.thinking = non_negative("base.thinking", thinking, "s")
+        self._budget = round(self.thinking / JACOBIAN_TIME)
+        self._models, self._rate_limit = InternalModels(plant), plant.rate_limit
+        self._band = BAND * float(plant.model.constants.length.sum())
+        self.status, self.arrivals, self.jacobians = np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0, np.int64)
+
+    @property
+    def estimates(self) -> dict[str, Array]:
+        """Status, arrival (s) and number of Jacobians of the plans, (b,) each, for `info`."""
+        counts = {"plan_status": self.status.astype(float), "plan_jacobians": self.jacobians.astype(float)}
+        return counts | {"plan_arrival": self.arrivals}
+
+    def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
+        """Plan the slews of new episodes; moving goals and arms at their goal are tracked as by `TrackingLQR`."""
+        for name in ("status", "arrivals", "jacobians"):
+            setattr(self, name, pad_rows(getattr(self, name), count))
+        self.status[arms], self.arrivals[arms], self.jacobians[arms] = TRACKED, np.inf, 0
+        super().reset(arms, episode, count)
+        if episode.reference is not None:
+            return
+        for arm, start, goal in zip(arms.tolist(), episode.start, episode.goal, strict=True):
+            if not np.array_equal(start, goal):
+                self._plan(arm, start, goal)
+
+    def _plan(self, arm: int, start: Array, goal: Array) -> None:
+        """Start the plan of an arm between motor angles (n,) rad; without a plan the slew of the LQR remains."""
+        guess, first = self._guess(start, goal), 0
+        frozen = np.zeros((0, len(start)))
+        if self._moving and self._budget:
+            first = min(round(self.thinking / self.period), guess.arrival // 2)
+            frozen = interpolate_torques(guess.knots, guess.periods)[:first]
+        state = self._roll(rest_state(self.model, start), frozen)[-1]
+        found = None
+        if self._budget:
+            found, self.jacobians[arm] = self._optimise(guess, (state if first else start, goal), first)
+        if found is None and self._regression is None:
+            return
+        self.status[arm] = PREDICTED if found is None else PLANNED
+        if found is None:
+            torques = interpolate_torques(guess.knots, guess.periods)
+        else:
+            torques = np.vstack([frozen, interpolate_torques(found.knots, found.periods)])
+            self.arrivals[arm] = (first + found.arrival) * self.period
+        self._start(arm, self._plan_schedule(start, goal, torques))
+
+    def _guess(self, start: Array, goal: Array) -> SlewTorques:
+        """Return the first guess of a slew between motor angles (n,) rad."""
+        if self._regression is not None:
+            return self._regression.predict(start, goal)
+        bounds = self.scales.bounds(self.limits, FEEDFORWARD_FRACTION)
+        torques = plan_slew(self.model, start, goal, bounds, self.period, self.timing_law).torques
+        return SlewTorques(torques, len(torques), len(torques))
+
+    def _optimise(self, guess: SlewTorques, ends: tuple[Array, Array], first: int) -> tuple[SlewTorques | None, int]:
+        """Return the slew optimised from a guess, of which the first periods are over, and the number of Jacobians.
+
+        The slew is None if none settles. The ends are those of `SingleShooting`.
+        """
+        slowness = self.scales.slew / NAMED_SLEW
+        shooting = SingleShooting(
+            self, lambda count: self._models("plans", count), self._band, self._rate_limit, ends,
+            self._budget, slowness,
+        )  # fmt: skip
+        if first:
+            knots = interpolate_torques(guess.knots, guess.periods)[first:]
+            guess = SlewTorques(knots, len(knots), guess.arrival - first)
+        found = shooting.search() if self._regression is None and not first else shooting.first(guess)
+        return found, shooting.jacobians
+
+    def _roll(self, state: Array, torques: Array) -> Array:
+        """Return the states (T + 1, 2 d) from a state (2 d,) under torques (T, n), N m."""
+        batch, drives = self._models("plan", 1), np.zeros((1, len(torques), len(self.limits) + 6))
+        drives[0, :, : len(self.limits)] = np.clip(torques / self.limits, -1.0, 1.0) * self.limits
+        batch.reset(np.zeros(1, dtype=np.int64), state[None])
+        return np.vstack([state, batch.roll(drives)[0][0]]) if len(torques) else state[None]
+
+    def _plan_schedule(self, start: Array, goal: Array, torques: Array) -> _GainSchedule:
+        """Return the schedule of a plan: simulated states, torques (T, n), and gains at postures along its motion."""
+        states = self._roll(rest_state(self.model, start), torques)
+        states[-1] = rest_state(self.model, goal)
+        rows = np.linspace(0, len(torques), GAIN_POSTURES).round().astype(int)
+        gains = np.array([self.gain(states[row, self.model.motor_columns]) for row in rows])
+        positions = np.interp(np.arange(len(states)), rows, np.arange(len(rows)))
+        return _GainSchedule(states, np.vstack([torques, holding_torques(self.model, goal)]), gains, positions)
+
+
+def _make(
+    plant: Plant, table: object = None, thinking: object = THINKING, moving: object = False, **given: Any
+) -> PlannedLQR:
+    scales = ArmScales.of_plant(plant, given.pop("design", None))
+    limits = plant.torque_scales
+    slews = SlewTable.load(LEARNED_TABLE if table is None else text("base.table", table))
+    fingerprint = SlewTable.fingerprint(plant.model, limits, plant.period)
+    try:
+        slews.check_arm(fingerprint)
+        regression = SlewRegression.of_model(slews, plant.model, limits)
+    except ValueError:
+        if table is not None:
+            raise
+        regression = None
+    weights = parse_weights(given.pop("weights", None), scales)
+    return PlannedLQR(plant, regression, thinking, flag("base.moving", moving), weights=weights, scales=scales, **given)
+
+
+ENTRY = ControllerEntry(
+    _make,
+    ("model", "true state"),
+    ("table", "thinking", "moving", "weights", "design"),
+    "a slew optimised at the start of each episode, and a linear-quadratic regulator about its simulated states",
+)
