@@ -25,7 +25,7 @@ SLEW_POSTURES = 3  # number of postures along a slew at which gains are designed
 PATH_POSTURES = 25  # number of postures along a given path at which gains are designed
 
 
-class _GainSchedule(NamedTuple):
+class GainSchedule(NamedTuple):
     """Reference states, feed-forward torques and gains of an LQR in each control period.
 
     Attributes:
@@ -135,7 +135,7 @@ class LQR:
         return saturated(self.compensated(torques, states) / self.limits, change / self.limits)
 
     def move_tables(self) -> dict[str, Array]:
-        """Return the tables of `_GainSchedule` for the present move of a single arm, by name.
+        """Return the tables of `GainSchedule` for the present move of a single arm, by name.
 
         Raises:
             ValueError: for a model with friction, whose compensation needs a simulation in every control period.
@@ -143,8 +143,8 @@ class LQR:
         self._compensation.check_none("lqr")
         return self._schedule()._asdict()
 
-    def _schedule(self) -> _GainSchedule:
-        return _GainSchedule(self._rest[:1], self._holding_torques[:1], self._gains[:1], np.zeros(1))
+    def _schedule(self) -> GainSchedule:
+        return GainSchedule(self._rest[:1], self._holding_torques[:1], self._gains[:1], np.zeros(1))
 
     def _feedback(self, arm: int) -> tuple[Array, Array, Array]:
         """Return gain K (n, 2 d), reference state (2 d,) and feed-forward torques (n,) of an arm in this period."""
@@ -184,7 +184,7 @@ class TrackingLQR(LQR):
     ) -> None:
         super().__init__(model, torque_limit, period, weights, scales)
         self.timing_law = one_of("timing_law", timing_law, TIMING_LAWS)
-        self._schedules: list[_GainSchedule] = []
+        self._schedules: list[GainSchedule] = []
         self._now = np.zeros(0, dtype=np.int64)
 
     def _default_weights(self) -> CostWeights:
@@ -208,13 +208,13 @@ class TrackingLQR(LQR):
             progress = row_dots(moved, moved[-1]) / max(moved[-1] @ moved[-1], 1e-12)
             torques = np.vstack([slew.torques, holding_torques(self.model, last)])
             positions = (SLEW_POSTURES - 1) * np.clip(progress, 0.0, 1.0)
-            self._start(int(arm), _GainSchedule(slew.states, torques, gains, positions))
+            self._start(int(arm), GainSchedule(slew.states, torques, gains, positions))
 
-    def _holding_schedule(self, posture: Array) -> _GainSchedule:
+    def _holding_schedule(self, posture: Array) -> GainSchedule:
         """Return the schedule of an arm that holds a posture (n,) rad, with a larger cost of the tip deviation."""
         tight = self.weights._replace(tip=HOLDING_FACTOR * self.weights.tip)
         holding = holding_torques(self.model, posture)[None]
-        return _GainSchedule(
+        return GainSchedule(
             rest_state(self.model, posture)[None], holding, self.gain(posture, tight)[None], np.zeros(1)
         )
 
@@ -226,11 +226,11 @@ class TrackingLQR(LQR):
             gains = np.array([self.gain(path[row]) for row in rows])
             positions = np.interp(np.arange(len(path)), rows, np.arange(len(rows)))
             torques = np.vstack([slew.torques, slew.torques[-1:]])
-            self._start(int(arm), _GainSchedule(slew.states, torques, gains, positions))
+            self._start(int(arm), GainSchedule(slew.states, torques, gains, positions))
 
-    def _start(self, arm: int, schedule: _GainSchedule) -> None:
+    def _start(self, arm: int, schedule: GainSchedule) -> None:
         """Start the schedule of an arm."""
-        empty = _GainSchedule(*(np.zeros(0),) * 4)
+        empty = GainSchedule(*(np.zeros(0),) * 4)
         self._schedules += [empty] * (arm + 1 - len(self._schedules))
         self._now = pad_rows(self._now, arm + 1)
         self._schedules[arm], self._now[arm] = schedule, 0
@@ -239,7 +239,7 @@ class TrackingLQR(LQR):
         """Advance the references of the active arms by a control period without readings, see `Controller`."""
         self._now[active] += 1
 
-    def _schedule(self) -> _GainSchedule:
+    def _schedule(self) -> GainSchedule:
         return self._schedules[0]
 
     def torques(self, states: Array) -> Array:

@@ -14,7 +14,7 @@ from flexman_gym.model.statics import holding_torques, rest_state
 from flexman_gym.toolbox.controllers.arm_scales import NAMED_SLEW, ArmScales
 from flexman_gym.toolbox.controllers.cost_weights import parse_weights
 from flexman_gym.toolbox.controllers.internal_model import InternalModels
-from flexman_gym.toolbox.controllers.lqr import FEEDFORWARD_FRACTION, TrackingLQR, _GainSchedule
+from flexman_gym.toolbox.controllers.lqr import FEEDFORWARD_FRACTION, GainSchedule, TrackingLQR
 from flexman_gym.toolbox.controllers.references.optimised_slews import SlewTable
 from flexman_gym.toolbox.controllers.references.single_shooting import (
     SingleShooting,
@@ -141,14 +141,14 @@ class PlannedLQR(TrackingLQR):
         batch.reset(np.zeros(1, dtype=np.int64), state[None])
         return np.vstack([state, batch.roll(drives)[0][0]]) if len(torques) else state[None]
 
-    def _plan_schedule(self, start: Array, goal: Array, torques: Array) -> _GainSchedule:
+    def _plan_schedule(self, start: Array, goal: Array, torques: Array) -> GainSchedule:
         """Return the schedule of a plan: simulated states, torques (T, n), and gains at postures along its motion."""
         states = self._roll(rest_state(self.model, start), torques)
         states[-1] = rest_state(self.model, goal)
         rows = np.linspace(0, len(torques), GAIN_POSTURES).round().astype(int)
         gains = np.array([self.gain(states[row, self.model.motor_columns]) for row in rows])
         positions = np.interp(np.arange(len(states)), rows, np.arange(len(rows)))
-        return _GainSchedule(states, np.vstack([torques, holding_torques(self.model, goal)]), gains, positions)
+        return GainSchedule(states, np.vstack([torques, holding_torques(self.model, goal)]), gains, positions)
 
 
 def _make(
