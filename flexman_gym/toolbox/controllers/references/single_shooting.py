@@ -24,6 +24,7 @@ LONGER_FACTOR = 1.12  # dimensionless; next trial duration after a failure, rela
 LATE_FACTOR = 1.08  # dimensionless; first trial duration / predicted one; with 1, a third of the slews need more trials
 LATER_FACTOR = 1.05  # dimensionless; next trial duration after a failure of a predicted slew, relative to the last
 DURATION_TOLERANCE = 0.012  # dimensionless; relative difference of failed and successful duration that ends the search
+MAX_STRETCH = 3.0  # dimensionless; longest trial duration / the first
 MAX_DURATIONS = 40  # largest number of trial durations
 MAX_STEPS = 60  # largest number of Gauss-Newton steps for one duration
 MAX_JACOBIANS = 12  # largest number of Jacobians for one duration
@@ -156,7 +157,7 @@ class SingleShooting:
             arrival: first trial of the arrival time, control periods.
             factor: next trial after a success, relative to the arrival found.
         """
-        best = None
+        best, longest = None, MAX_STRETCH * arrival
         for _ in range(MAX_DURATIONS):
             found = self._solve(self.rescale(solution, arrival), arrival)
             if found is not None:
@@ -169,7 +170,7 @@ class SingleShooting:
                 if gap <= max(1.0, DURATION_TOLERANCE * best.arrival):
                     break
                 arrival, factor = best.arrival - gap // 2, 0.5 + 0.5 * factor
-            if arrival < 1 or self._exhausted():
+            if arrival < 1 or arrival > longest or self._exhausted():
                 break
         return best
 
