@@ -105,7 +105,8 @@ def test_the_arm_moves_as_planned_and_settles_in_the_time_planned(settings):
     arms.reset(seed=[3_000_001, 3_000_002, 3_000_003])
     episodes = arms.unwrapped.episodes
     base, errors = episodes.base, []
-    assert base.status.tolist() == [PREDICTED if settings.get("thinking") == 0.0 else PLANNED] * 3
+    expected = {PREDICTED} if settings.get("thinking") == 0.0 else {PLANNED, PREDICTED}
+    assert {*base.status.tolist()} <= expected and (PLANNED in base.status) == (PLANNED in expected)
     for period in range(1, 300):
         _, _, failed, _, info = arms.step(np.zeros((3, 3), dtype=np.float32))
         assert not failed.any()
@@ -118,9 +119,10 @@ def test_the_arm_moves_as_planned_and_settles_in_the_time_planned(settings):
     settled = arms.unwrapped.configuration.control_period * (
         1.0 + np.array([np.flatnonzero(each)[-1] for each in late.T])
     )
-    if base.status[0] == PLANNED:
-        np.testing.assert_allclose(settled, base.arrivals, atol=0.05)
-        np.testing.assert_array_equal(episodes.base.estimates["plan_arrival"], base.arrivals)
+    planned = base.status == PLANNED
+    np.testing.assert_allclose(settled[planned], base.arrivals[planned], atol=0.05)
+    assert np.isinf(base.arrivals[~planned]).all()
+    np.testing.assert_array_equal(base.estimates["planning_time"], JACOBIAN_TIME * base.jacobians)
     assert errors[-1].max() < 1e-3
 
 
@@ -148,7 +150,7 @@ def test_without_a_table_of_the_arm_a_plan_begins_with_the_slew_of_the_lqr():
 
 @pytest.mark.parametrize("budget", [1, 4])
 def test_the_planning_time_bounds_the_jacobians(budget):
-    controller = make_base({"kind": "planned", "thinking": budget * JACOBIAN_TIME}, plant(RRR))
+    controller = make_base({"kind": "planned", "thinking": (budget + 0.1) * JACOBIAN_TIME}, plant(RRR))
     start, goal = np.array([[0.6, -0.5, 0.3]]), np.array([[-0.6, 0.5, -0.3]])
     controller.reset(HERE, EpisodeInfo(start, goal, 0.02), 1)
     assert 1 <= controller.jacobians[0] <= budget

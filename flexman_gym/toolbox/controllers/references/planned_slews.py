@@ -25,8 +25,8 @@ from flexman_gym.toolbox.controllers.references.slew_regression import SlewRegre
 from flexman_gym.toolbox.controllers.references.trajectories import plan_slew
 
 LEARNED_TABLE = Path(__file__).parent / "tables" / "FlexRRR-v0-learned.npz"
-JACOBIAN_TIME = 0.03  # s; declared computing time of a Jacobian with its step, for the arm of FlexRRR-v0
-THINKING = 0.4  # s; declared planning time of an episode
+JACOBIAN_TIME = 0.15  # s; declared computing time of a Jacobian with its steps, for the arm of FlexRRR-v0
+THINKING, MOVING_TIME = 1.95, 0.45  # s; largest planning time before a slew, and planning time while the arm moves
 GAIN_POSTURES = 5  # number of postures along a plan at which gains are designed
 PLANNED, PREDICTED, TRACKED = range(3)  # status of a plan: optimised; predicted and not optimised; slew of the LQR
 
@@ -45,7 +45,7 @@ class PlannedLQR(TrackingLQR):
     Args:
         plant: plant model.
         regression: predicted slews of the arm; None for none.
-        thinking: planning time, s; 0 applies the prediction.
+        thinking: largest planning time, s; 0 applies the prediction; None for THINKING, or MOVING_TIME.
         moving: True to move during the planning time.
         given: weights and scales, see `LQR`.
 
@@ -59,13 +59,14 @@ class PlannedLQR(TrackingLQR):
         self,
         plant: Plant,
         regression: SlewRegression | None = None,
-        thinking: object = THINKING,
+        thinking: object = None,
         moving: bool = False,
         **given: Any,
     ) -> None:
         super().__init__(plant.model, plant.torque_scales, plant.period, **given)
         self._regression, self._moving = regression, moving
-        self.thinking = non_negative("base.thinking", thinking, "s")
+        usual = MOVING_TIME if moving else THINKING
+        self.thinking = non_negative("base.thinking", usual if thinking is None else thinking, "s")
         self._budget = round(self.thinking / JACOBIAN_TIME)
         self._models, self._rate_limit = InternalModels(plant), plant.rate_limit
         self._band = BAND * float(plant.model.constants.length.sum())
@@ -73,9 +74,9 @@ class PlannedLQR(TrackingLQR):
 
     @property
     def estimates(self) -> dict[str, Array]:
-        """Status, arrival (s) and number of Jacobians of the plans, (b,) each, for `info`."""
-        counts = {"plan_status": self.status.astype(float), "plan_jacobians": self.jacobians.astype(float)}
-        return counts | {"plan_arrival": self.arrivals}
+        """Status, planned arrival (s) and declared planning time (s) of the plans, (b,) each, for `info`."""
+        time = JACOBIAN_TIME * self.jacobians
+        return {"plan_status": self.status.astype(float), "plan_arrival": self.arrivals, "planning_time": time}
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
         """Plan the slews of new episodes; moving goals and arms at their goal are tracked as by `TrackingLQR`."""
@@ -152,7 +153,7 @@ class PlannedLQR(TrackingLQR):
 
 
 def _make(
-    plant: Plant, table: object = None, thinking: object = THINKING, moving: object = False, **given: Any
+    plant: Plant, table: object = None, thinking: object = None, moving: object = False, **given: Any
 ) -> PlannedLQR:
     scales = ArmScales.of_plant(plant, given.pop("design", None))
     limits = plant.torque_scales
