@@ -11,7 +11,16 @@ from flexman_gym.toolbox.league import page as league_page
 from flexman_gym.toolbox.league.rows import LeagueRows
 from studies.control.cases import ControlRow
 from studies.control.page import page as control_page
-from studies.environments.measure import BASELINES, CONDITIONS, LONG_NAME, SHAPED, Baseline, baselines_of
+from studies.environments.measure import (
+    ADAPTIVE,
+    AGENTS,
+    BASELINES,
+    CONDITIONS,
+    LONG_NAME,
+    Baseline,
+    baselines_of,
+    travels,
+)
 from studies.files import read_rows
 from studies.results import BASELINE_FILE, DOCS, Results
 
@@ -35,14 +44,17 @@ def results():
 @pytest.mark.slow
 def test_an_agent_in_an_environment_has_one_row(results):
     own = [row for row in read_rows(DOCS / BASELINE_FILE, Baseline) if row.baseline != LONG_NAME]
-    agents = BASELINES | {SHAPED: "pd-shaped"}
+    agents = BASELINES | AGENTS
     assert all(results.standings.why(agents[row.baseline], row.environment) for row in own)
     assert len({(row.environment, row.baseline) for row in own}) == len(own)
     known = {(row.environment, row.baseline) for row in results.baselines() if row.baseline != LONG_NAME}
     plain = {each for each in known if "/" not in each[0]}
     assert plain == {(name, baseline) for name in NAMED_ENVIRONMENTS for baseline in baselines_of(name)}
-    named, conditions = "FlexGantry-v0", {each for each in known if "/" in each[0]}
-    assert conditions == {(f"{named}/{each}", agent) for each in CONDITIONS for agent in ("PD", SHAPED)}
+    conditions = {each for each in known if "/" in each[0]}
+    shown = {name: [each for each in AGENTS if not travels(name) or each != ADAPTIVE] for name in CONDITIONS}
+    assert conditions == {
+        (f"{name}/{each}", agent) for name, every in CONDITIONS.items() for each in every for agent in shown[name]
+    }
 
 
 def test_a_result_of_the_league_is_the_upper_median_of_its_rows(results):

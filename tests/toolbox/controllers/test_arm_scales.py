@@ -92,7 +92,7 @@ def test_an_arm_that_cannot_vibrate_has_no_shortest_slew():
     assert weights.torque == 1.0 and weights.tip / weights.tip_speed == pytest.approx(own.slew / 16.0)
 
 
-@pytest.mark.parametrize("name", sorted(IDS))
+@pytest.mark.parametrize("name", sorted({*IDS} - {"FlexCrane-v0"}))  # a load that hangs has the design "arm"
 def test_a_time_unit_is_a_control_period_of_named_environments(name):
     setup = Configuration(name)
     plant = make_plant(setup, resolve_fidelity(setup).model)
