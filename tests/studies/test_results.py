@@ -17,9 +17,10 @@ from studies.environments.measure import (
     BASELINES,
     CONDITIONS,
     LONG_NAME,
+    SHAPED,
     Baseline,
     baselines_of,
-    travels,
+    condition_agents,
 )
 from studies.files import read_rows
 from studies.results import BASELINE_FILE, DOCS, Results
@@ -51,9 +52,13 @@ def test_an_agent_in_an_environment_has_one_row(results):
     plain = {each for each in known if "/" not in each[0]}
     assert plain == {(name, baseline) for name in NAMED_ENVIRONMENTS for baseline in baselines_of(name)}
     conditions = {each for each in known if "/" in each[0]}
-    shown = {name: [each for each in AGENTS if not travels(name) or each != ADAPTIVE] for name in CONDITIONS}
+    assert condition_agents("FlexGantry-v0").keys() == {"PD", SHAPED}
+    assert condition_agents("FlexCrane-v0").keys() == {"PD", SHAPED, ADAPTIVE}
     assert conditions == {
-        (f"{name}/{each}", agent) for name, every in CONDITIONS.items() for each in every for agent in shown[name]
+        (f"{name}/{each}", agent)
+        for name, every in CONDITIONS.items()
+        for each in every
+        for agent in condition_agents(name)
     }
 
 

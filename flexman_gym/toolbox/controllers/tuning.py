@@ -26,7 +26,7 @@ from flexman_gym.toolbox.controllers.lqr import LQR
 from flexman_gym.toolbox.controllers.margins import MIN_MARGINS, Margins, SampledLoop, has_margins, margins
 from flexman_gym.toolbox.controllers.pd_design import PDDesign, joint_gains
 from flexman_gym.toolbox.controllers.references.optimised_slews import OptimisedController, SlewTable
-from flexman_gym.toolbox.controllers.references.single_shooting import SingleShooting
+from flexman_gym.toolbox.controllers.references.single_shooting import SingleShooting, SlewTorques
 from flexman_gym.toolbox.controllers.references.slew_regression import SlewRegression
 
 LEARN_FROM, LEARN_AGAIN = 50, 50  # numbers of slews
@@ -195,10 +195,7 @@ def optimise_slews(
             different environment.
     """
     missing = [seed for seed in seeds if seed not in table.found]
-    if environment.task.moves or environment.disturbances is not None:
-        raise value_error("environment", environment.id, "one with fixed goals, without randomisation and disturbances")
-    if table.about.get("environment") != environment.to_plain():
-        raise value_error("table", table.about.get("environment"), "a table of this environment, or a new file")
+    _check_slews(environment, table)
     if not missing:
         return
     limits, period = environment.torque_limit, environment.control_period
@@ -219,14 +216,27 @@ def optimise_slews(
             regression = SlewRegression.of_model(table, model, np.array(limits))
         start = time.process_time()
         shooting = SingleShooting(regulator, make_batch, record.band, environment.limits.rate, tuple(start_and_goal))
-        slew = None
-        if regression is not None:
-            guess = regression.predict(*start_and_goal)
-            slew = shooting.improve(guess, guess.arrival, NEXT_FACTOR)
-        slew = slew or shooting.search()
+        slew = _fastest_slew(shooting, regression, start_and_goal)
         cpu_time, settling = time.process_time() - start, np.inf
         if slew is not None:
             table.found[seed] = start_and_goal, slew, settling
             settling = SETTLING.evaluate(rollout(replay, environment, [seed]).records)
             table.found[seed] = start_and_goal, slew, settling
         yield _SlewResult(seed, settling, SETTLING.evaluate([record]), cpu_time)
+
+
+def _check_slews(environment: Configuration, table: SlewTable) -> None:
+    """Raise ValueError for an environment whose slews cannot be optimised, and for the table of another one."""
+    if environment.task.moves or environment.disturbances is not None:
+        raise value_error("environment", environment.id, "one with fixed goals, without randomisation and disturbances")
+    if table.about.get("environment") != environment.to_plain():
+        raise value_error("table", table.about.get("environment"), "a table of this environment, or a new file")
+
+
+def _fastest_slew(shooting: SingleShooting, regression: SlewRegression | None, ends: Array) -> SlewTorques | None:
+    """Return the fastest slew found between ends (2, n), rad, from a predicted slew, or else from a planned one."""
+    slew = None
+    if regression is not None:
+        guess = regression.predict(*ends)
+        slew = shooting.improve(guess, guess.arrival, NEXT_FACTOR)
+    return slew or shooting.search()

@@ -153,9 +153,14 @@ def baseline_rows(name: str, runs: Mapping[str, Rollout]) -> list[Baseline]:
     ]
 
 
+def condition_agents(name: str) -> dict[str, str]:
+    """Return the baselines of an environment under CONDITIONS, name -> agent; the adaptive LQR needs a motor."""
+    return {baseline: agent for baseline, agent in AGENTS.items() if not travels(name) or baseline != ADAPTIVE}
+
+
 def condition_rows(name: str) -> list[Baseline]:
     """Return the metrics of the baselines with a controller under CONDITIONS; [] for an environment without."""
-    agents = {baseline: agent for baseline, agent in AGENTS.items() if not travels(name) or baseline != ADAPTIVE}
+    agents = condition_agents(name)
     return [
         row
         for condition in CONDITIONS.get(name, ())

@@ -133,12 +133,12 @@ class SlewReferences:
     def _tabulate(self, payload: int, start: Array, goal: Array) -> _PathTables:
         """Return the tables of a path between motor angles (n,) rad, for the payload with the given index."""
         model, deflection, displacement = self._models[payload], self._deflections[payload], goal - start
-        n, hanging = model.n_joints, model.constants.passive > 0
-        turned = np.where(hanging, np.diff(rest_state(model, np.array([start, goal]))[:, :n], axis=0)[0], displacement)
+        n, postures = model.n_joints, start + PATH_POINTS[:, None] * displacement
+        rests = rest_state(model, postures)[:, : model.n_dof]
+        turned = np.where(model.constants.passive, rests[-1, :n] - rests[0, :n], displacement)
         coordinates, torques = np.zeros((11, 3, model.n_dof)), np.zeros((11, 3, n))
-        for row, progress in enumerate(PATH_POINTS):
-            posture = start + progress * displacement
-            rest, straight = rest_state(model, posture)[: model.n_dof], model.at_rest(posture[None])[0, : model.n_dof]
+        for row, (posture, rest) in enumerate(zip(postures, rests, strict=True)):
+            straight = model.at_rest(posture[None])[0, : model.n_dof]
             coordinates[row, REST], torques[row, REST] = rest - straight, holding_torques(model, posture)
             links, zero = rest[:n], np.zeros(n)
             at_rest, static_torque = deflection.at(rest, (links, zero, zero))

@@ -82,6 +82,10 @@ class SlewTable:
             raise value_error("seed", seed, f"a seed in the table, or compute one: {COMMAND}")
         return self.found[seed][2]
 
+    def is_of(self, arm: Array) -> bool:
+        """Return True if the table belongs to an arm with numbers (k,) from `fingerprint`."""
+        return arm.shape == self.arm.shape and np.allclose(arm, self.arm, rtol=ARM_TOLERANCE, atol=0.0)
+
     def check_arm(self, arm: Array) -> None:
         """Check that the table belongs to an arm.
 
@@ -91,7 +95,7 @@ class SlewTable:
         Raises:
             ValueError: for another arm.
         """
-        if arm.shape != self.arm.shape or not np.allclose(arm, self.arm, rtol=ARM_TOLERANCE, atol=0.0):
+        if not self.is_of(arm):
             environment = self.about.get("environment")
             raise value_error(
                 "table", environment, f"a table of this arm, with its torque limits and control period: {COMMAND}"

@@ -1,5 +1,7 @@
 """Slews optimised in an episode: shooting from a predicted slew, and LQR about the simulated states of the plan."""
 
+from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +12,7 @@ from flexman_gym.agent.controller import EpisodeInfo, Plant
 from flexman_gym.common.arrays import Array, IntArray, pad_rows
 from flexman_gym.common.checks import flag, non_negative, text
 from flexman_gym.metrics.signals import BAND
+from flexman_gym.model.model import Model
 from flexman_gym.model.statics import holding_torques, rest_state
 from flexman_gym.toolbox.controllers.arm_scales import NAMED_SLEW, ArmScales
 from flexman_gym.toolbox.controllers.cost_weights import parse_weights
@@ -25,7 +28,8 @@ from flexman_gym.toolbox.controllers.references.slew_regression import SlewRegre
 from flexman_gym.toolbox.controllers.references.trajectories import plan_slew
 
 LEARNED_TABLE = Path(__file__).parent / "tables" / "FlexRRR-v0-learned.npz"
-JACOBIAN_TIME = 0.15  # s; declared computing time of a Jacobian with its steps, for the arm of FlexRRR-v0
+# Times of the computer, which do not scale with the arm: a Jacobian with its steps, for the arm of FlexRRR-v0
+JACOBIAN_TIME = 0.15  # s; declared computing time
 THINKING, MOVING_TIME = 1.95, 0.45  # s; largest planning time before a slew, and planning time while the arm moves
 GAIN_POSTURES = 5  # number of postures along a plan at which gains are designed
 PLANNED, PREDICTED, TRACKED = range(3)  # status of a plan: optimised; predicted and not optimised; slew of the LQR
@@ -83,43 +87,52 @@ class PlannedLQR(TrackingLQR):
         for name in ("status", "arrivals", "jacobians"):
             setattr(self, name, pad_rows(getattr(self, name), count))
         self.status[arms], self.arrivals[arms], self.jacobians[arms] = TRACKED, np.inf, 0
-        super().reset(arms, episode, count)
-        if episode.reference is not None:
-            return
-        for arm, start, goal in zip(arms.tolist(), episode.start, episode.goal, strict=True):
-            if not np.array_equal(start, goal):
-                self._plan(arm, start, goal)
+        if episode.reference is None:
+            for arm, start, goal in zip(arms.tolist(), episode.start, episode.goal, strict=True):
+                if not np.array_equal(start, goal):
+                    self._plan(arm, start, goal)
+        left = self.status[arms] == TRACKED
+        if left.any():
+            super().reset(arms[left], replace(episode, start=episode.start[left], goal=episode.goal[left]), count)
 
     def _plan(self, arm: int, start: Array, goal: Array) -> None:
-        """Start the plan of an arm between motor angles (n,) rad; without a plan the slew of the LQR remains."""
-        guess, first = self._guess(start, goal), 0
-        frozen = np.zeros((0, len(start)))
-        if self._moving and self._budget:
-            first = min(round(self.thinking / self.period), guess.arrival // 2)
-            frozen = interpolate_torques(guess.knots, guess.periods)[:first]
-        state = self._roll(rest_state(self.model, start), frozen)[-1]
+        """Plan the slew of an arm between motor angles (n,) rad, and start it if a plan or a prediction exists."""
+        guess = self._guess(start, goal)
+        applied = self._applied_meanwhile(guess, len(start))
+        state = self._roll(rest_state(self.model, start), applied)[-1] if len(applied) else start
         found = None
         if self._budget:
-            found, self.jacobians[arm] = self._optimise(guess, (state if first else start, goal), first)
-        if found is None and self._regression is None:
-            return
-        self.status[arm] = PREDICTED if found is None else PLANNED
-        if found is None:
+            found, self.jacobians[arm] = self._optimise(guess, (state, goal), len(applied))
+        if found is not None:
+            torques = np.vstack([applied, interpolate_torques(found.knots, found.periods)])
+            self.status[arm], self.arrivals[arm] = PLANNED, (len(applied) + found.arrival) * self.period
+        elif guess is not None and self._regression is not None:
             torques = interpolate_torques(guess.knots, guess.periods)
+            self.status[arm] = PREDICTED
         else:
-            torques = np.vstack([frozen, interpolate_torques(found.knots, found.periods)])
-            self.arrivals[arm] = (first + found.arrival) * self.period
+            return
         self._start(arm, self._plan_schedule(start, goal, torques))
 
-    def _guess(self, start: Array, goal: Array) -> SlewTorques:
-        """Return the first guess of a slew between motor angles (n,) rad."""
+    def _applied_meanwhile(self, guess: SlewTorques | None, joints: int) -> Array:
+        """Return the torques (T, n), N m, of a guess that the arm applies during the planning time."""
+        if guess is None or not (self._moving and self._budget):
+            return np.zeros((0, joints))
+        count = min(round(self.thinking / self.period), guess.arrival // 2)
+        return interpolate_torques(guess.knots, guess.periods)[:count]
+
+    def _guess(self, start: Array, goal: Array) -> SlewTorques | None:
+        """Return the first guess of a slew between motor angles (n,) rad; None to begin with the search of shooting."""
         if self._regression is not None:
             return self._regression.predict(start, goal)
+        if not self._moving:
+            return None
         bounds = self.scales.bounds(self.limits, FEEDFORWARD_FRACTION)
         torques = plan_slew(self.model, start, goal, bounds, self.period, self.timing_law).torques
         return SlewTorques(torques, len(torques), len(torques))
 
-    def _optimise(self, guess: SlewTorques, ends: tuple[Array, Array], first: int) -> tuple[SlewTorques | None, int]:
+    def _optimise(
+        self, guess: SlewTorques | None, ends: tuple[Array, Array], first: int
+    ) -> tuple[SlewTorques | None, int]:
         """Return the slew optimised from a guess, of which the first periods are over, and the number of Jacobians.
 
         The slew is None if none settles. The ends are those of `SingleShooting`.
@@ -129,11 +142,12 @@ class PlannedLQR(TrackingLQR):
             self, lambda count: self._models("plans", count), self._band, self._rate_limit, ends,
             self._budget, slowness,
         )  # fmt: skip
+        if guess is None:
+            return shooting.search(), shooting.jacobians
         if first:
             knots = interpolate_torques(guess.knots, guess.periods)[first:]
             guess = SlewTorques(knots, len(knots), guess.arrival - first)
-        found = shooting.search() if self._regression is None and not first else shooting.first(guess)
-        return found, shooting.jacobians
+        return shooting.first(guess), shooting.jacobians
 
     def _roll(self, state: Array, torques: Array) -> Array:
         """Return the states (T + 1, 2 d) from a state (2 d,) under torques (T, n), N m."""
@@ -152,20 +166,36 @@ class PlannedLQR(TrackingLQR):
         return GainSchedule(states, np.vstack([torques, holding_torques(self.model, goal)]), gains, positions)
 
 
+@lru_cache(maxsize=4)
+def _regression(
+    path: Path, written: float, plant: tuple[Model, tuple[float, ...], float], own: bool
+) -> SlewRegression | None:
+    """Return the regression of a table, whose fit takes seconds; None for a shipped table of another arm.
+
+    Args:
+        path: path of the table.
+        written: time at which the file was written, s.
+        plant: model, torque limits (n,) N m, and control period, s.
+        own: True for a table of the user.
+
+    Raises:
+        ValueError: for a table of the user for another arm.
+    """
+    (model, given, period), slews = plant, SlewTable.load(path)
+    limits = np.array(given)
+    arm = SlewTable.fingerprint(model, limits, period)
+    if own:
+        slews.check_arm(arm)
+    return SlewRegression.of_model(slews, model, limits) if slews.is_of(arm) else None
+
+
 def _make(
     plant: Plant, table: object = None, thinking: object = None, moving: object = False, **given: Any
 ) -> PlannedLQR:
     scales = ArmScales.of_plant(plant, given.pop("design", None))
-    limits = plant.torque_scales
-    slews = SlewTable.load(LEARNED_TABLE if table is None else text("base.table", table))
-    fingerprint = SlewTable.fingerprint(plant.model, limits, plant.period)
-    try:
-        slews.check_arm(fingerprint)
-        regression = SlewRegression.of_model(slews, plant.model, limits)
-    except ValueError:
-        if table is not None:
-            raise
-        regression = None
+    path = LEARNED_TABLE if table is None else Path(text("base.table", table))
+    written = path.stat().st_mtime if path.exists() else 0.0
+    regression = _regression(path, written, (plant.model, plant.torque_limit, plant.period), table is not None)
     weights = parse_weights(given.pop("weights", None), scales)
     return PlannedLQR(plant, regression, thinking, flag("base.moving", moving), weights=weights, scales=scales, **given)
 

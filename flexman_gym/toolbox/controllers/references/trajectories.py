@@ -138,10 +138,12 @@ class QuasiStaticDeflection:
         self.model = model
         self._forces, self._stiffness = inertial_forces(model), stiffness_matrix(model)
         self._motors = model.motor_columns
-        self._passive = np.flatnonzero(model.constants.passive)
-        self._elastic = np.append(self._passive, np.arange(n + model.n_motors, model.n_dof))
-        held = self._elastic if not len(self._passive) else self._elastic[:0]
-        self._inverse = np.linalg.inv(self._stiffness[np.ix_(held, held)])
+        passive = np.flatnonzero(model.constants.passive)
+        self._elastic = np.append(passive, np.arange(n + model.n_motors, model.n_dof))
+        self._inverse: Array | None = None  # for an arm with passive joints, whose stiffness depends on its motion
+        if not len(passive):
+            elastic = self._stiffness[np.ix_(self._elastic, self._elastic)]
+            self._inverse = np.asarray(np.linalg.inv(elastic), dtype=float)
         stiffness = np.where(model.constants.motor >= 0, model.constants.joint_stiffness, np.inf)
         self._compliance = 1.0 / stiffness
 
@@ -161,7 +163,7 @@ class QuasiStaticDeflection:
         for _ in range(DEFLECTION_PASSES):
             forces = self._forces(x, rates, accelerations)
             x = x.copy()
-            if len(self._passive):
+            if self._inverse is None:
                 x[self._elastic] -= self._hanging_step(np.array([x, rates, accelerations]), forces)
             else:
                 x[self._elastic] = -self._inverse @ forces[self._elastic]
