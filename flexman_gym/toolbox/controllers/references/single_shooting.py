@@ -226,12 +226,17 @@ class SingleShooting:
 
     def _solve(self, knots: Array, arrival: int) -> SlewTorques | None:
         """Return the slew whose tip stays within the band from the arrival on; None if the iteration fails."""
-        periods, damping, updates, jacobians = arrival + self._tail, INITIAL_DAMPING, 0, 1
-        errors, jacobian = self._jacobian(knots, periods)
+        periods, damping, updates, jacobians = arrival + self._tail, INITIAL_DAMPING, 0, 0
+        errors, jacobian = self.errors(knots[None], periods)[0], None
         for _ in range(MAX_STEPS):
             outside = np.flatnonzero(np.linalg.norm(errors[:, :3], axis=1) > SETTLED_BAND * self._band)
             if outside.max(initial=-1) < arrival - 1 and np.abs(errors[:, 3:]).max() <= MAX_RATE:
                 return SlewTorques(knots, periods, int(outside.max(initial=-1)) + 2)
+            if jacobian is None:
+                if jacobians >= MAX_JACOBIANS or self._exhausted():
+                    break
+                errors, jacobian = self._jacobian(knots, periods)
+                updates, jacobians = 0, jacobians + 1
             tried = self._steps(knots, errors, jacobian, arrival, damping * DAMPING_FACTORS)
             candidate_errors = self.errors(tried, periods)
             costs = np.square(self._residuals(np.concatenate([candidate_errors, errors[None]]), arrival)).sum(axis=1)
@@ -245,9 +250,8 @@ class SingleShooting:
             elif updates == 0:
                 damping *= MAX_DAMPING
             if updates and (updates == BROYDEN_UPDATES or not better):
-                errors, jacobian = self._jacobian(knots, periods)
-                updates, jacobians = 0, jacobians + 1
-            if damping > MAX_DAMPING**2 or jacobians > MAX_JACOBIANS or self._exhausted():
+                jacobian = None
+            if damping > MAX_DAMPING**2:
                 break
         return None
 
