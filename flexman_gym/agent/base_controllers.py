@@ -86,7 +86,9 @@ BASES: Registry[ControllerEntry] = Registry("controller", {
     "optimised": f"{_PLACE}.references.optimised_slews:ENTRY",
     "planned": f"{_PLACE}.references.planned_slews:ENTRY",
     "adaptive-lqr": f"{_PLACE}.output_feedback:ADAPTIVE_ENTRY",
+    "adaptive-planned": f"{_PLACE}.output_feedback:ADAPTIVE_PLANNED_ENTRY",
     "privileged-lqr": f"{_PLACE}.output_feedback:PRIVILEGED_ENTRY",
+    "privileged-planned": f"{_PLACE}.output_feedback:PRIVILEGED_PLANNED_ENTRY",
     "pd-shaped": f"{_PLACE}.input_shaping.shaped_controller:ENTRY",
 }, _as_entry)  # fmt: skip
 """Base controllers: name -> construction, required information, arguments and description."""

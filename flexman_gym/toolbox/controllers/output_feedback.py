@@ -9,7 +9,7 @@ from flexman_gym.agent.base_controllers import ControllerEntry
 from flexman_gym.agent.controller import Controller, EpisodeInfo, Plant, Readings
 from flexman_gym.agent.pd import PD, make_pd
 from flexman_gym.common.arrays import Array, BoolArray, IntArray, pad_rows
-from flexman_gym.common.checks import flag
+from flexman_gym.common.checks import flag, positive
 from flexman_gym.common.errors import value_error
 from flexman_gym.model.statics import rest_state
 from flexman_gym.toolbox.controllers.arm_scales import ArmScales
@@ -18,6 +18,7 @@ from flexman_gym.toolbox.controllers.observers.estimator import Estimator
 from flexman_gym.toolbox.controllers.observers.kalman_filter import KalmanFilter
 from flexman_gym.toolbox.controllers.observers.observer import Estimate, Observer
 from flexman_gym.toolbox.controllers.observers.oracle import Oracle
+from flexman_gym.toolbox.controllers.references.replanned_slews import PLANNING_TIME, ReplannedTracking
 from flexman_gym.toolbox.controllers.tracking import Tracking
 
 POSTURE_STEP = 1e-4  # rad; central difference of the equilibrium state with respect to motor angles
@@ -49,8 +50,8 @@ class OutputFeedback:
 
     @property
     def estimates(self) -> Mapping[str, Array]:
-        """Estimates of the observer, name -> (b, ...)."""
-        return getattr(self.observer, "estimates", {})
+        """Estimates of the observer and of the law, name -> (b, ...)."""
+        return {**getattr(self.observer, "estimates", {}), **getattr(self.law, "estimates", {})}
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
         """Start new episodes; arguments as in `Controller.reset`."""
@@ -169,13 +170,33 @@ def _adaptive(
     plant: Plant, weights: object = None, unknown: Any = None, design: object = None, **options: Any
 ) -> OutputFeedback:
     plant = plant if unknown is None else plant._replace(unknown=unknown)
-    law = _law(plant, weights, design)
+    return _with_estimator(plant, _law(plant, weights, design), **options)
+
+
+def _adaptive_planned(
+    plant: Plant,
+    weights: object = None,
+    unknown: Any = None,
+    design: object = None,
+    thinking: object = PLANNING_TIME,
+    **options: Any,
+) -> OutputFeedback:
+    plant = plant if unknown is None else plant._replace(unknown=unknown)
+    return _with_estimator(plant, _replanned(plant, weights, design, thinking, known=not plant.unknown), **options)
+
+
+def _with_estimator(plant: Plant, law: Tracking, **options: Any) -> OutputFeedback:
     return OutputFeedback(Estimator(plant, unit=law.unit, **options), law, _fallback(plant))
 
 
 def _law(plant: Plant, weights: object, design: object, retimed: bool = True) -> Tracking:
     scales = ArmScales.of_plant(plant, design)
     return Tracking(plant, parse_weights(weights, scales), retimed, scales)
+
+
+def _replanned(plant: Plant, weights: object, design: object, thinking: object, known: bool) -> ReplannedTracking:
+    scales, time = ArmScales.of_plant(plant, design), positive("base.thinking", thinking, "s")
+    return ReplannedTracking(plant, parse_weights(weights, scales), scales, time, known)
 
 
 def _fallback(plant: Plant) -> PD | None:
@@ -191,6 +212,12 @@ def _privileged(
 ) -> OutputFeedback:
     law = _law(plant, weights, design, flag("base.retimed", retimed))
     return OutputFeedback(Oracle(plant, flag("base.doubt", doubt)), law)
+
+
+def _privileged_planned(
+    plant: Plant, weights: object = None, design: object = None, thinking: object = PLANNING_TIME
+) -> OutputFeedback:
+    return OutputFeedback(Oracle(plant), _replanned(plant, weights, design, thinking, known=True))
 
 
 LQG_ENTRY = ControllerEntry(
@@ -214,4 +241,16 @@ PRIVILEGED_ENTRY = ControllerEntry(
     ("weights", "design", "doubt", "retimed"),
     "`lqr-tracking` with true state and true parameters, the benchmark",
     passive="some",
+)
+ADAPTIVE_PLANNED_ENTRY = ControllerEntry(
+    _adaptive_planned,
+    ("structure of the model",),
+    ("weights", "design", "sensors", "unknown", "biased", "thinking"),
+    "`adaptive-lqr` whose slews are optimised while the arm moves, anew with each estimate",
+)
+PRIVILEGED_PLANNED_ENTRY = ControllerEntry(
+    _privileged_planned,
+    ("model", "true state", "true parameters"),
+    ("weights", "design", "thinking"),
+    "`adaptive-planned` with true state and true parameters, the benchmark",
 )

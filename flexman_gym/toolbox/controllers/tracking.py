@@ -39,7 +39,7 @@ class Tracking:
         shaping: reference shaping by an agent; None for no reference shaping.
     """
 
-    state_fields = ("slews", "_paths", "_ages", "_holding", "_goal", "_planned", "shaping")
+    state_fields: tuple[str, ...] = ("slews", "_paths", "_ages", "_holding", "_goal", "_planned", "shaping")
 
     def __init__(
         self,

@@ -98,7 +98,7 @@ def test_the_rest_of_a_slew_is_found_from_the_state_within_it(learned):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("settings", [{}, {"moving": True}, {"thinking": 0.0}])
+@pytest.mark.parametrize("settings", [{}, {"thinking": 0.0}])
 def test_the_arm_moves_as_planned_and_settles_in_the_time_planned(settings):
     """The nominal arm: states of the episode are those of the plan, to rounding; the estimate of the arrival is met."""
     arms = gym.make_vec(RRR, 3, "vector_entry_point", base={"kind": "planned", **settings}, autoreset_mode="Disabled")

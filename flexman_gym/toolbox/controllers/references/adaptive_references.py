@@ -180,7 +180,7 @@ class SlewReferences:
             return
         d = self.model.n_dof
         for arm in arms:
-            goal, estimated = self.start[arm] + self.displacement[arm], _estimated_model(self.model, parameters, arm)
+            goal, estimated = self.start[arm] + self.displacement[arm], estimated_model(self.model, parameters, arm)
             target, end = rest_state(self.model, goal)[:d], goal + self.shift[arm]
             try:
                 for _ in range(NEWTON_ITERATIONS):
@@ -345,7 +345,7 @@ def _adaptation_factors(
     return weights, compliance
 
 
-def _estimated_model(model: Model, parameters: Mapping[str, Array], arm: int) -> Model:
+def estimated_model(model: Model, parameters: Mapping[str, Array], arm: int) -> Model:
     """Return the model of an arm with its estimated payload and stiffness."""
     names = "payload_mass", "joint_stiffness", "link_stiffness_factor"
     return varied_model(model, **{name: parameters[name][arm] for name in names if name in parameters})
