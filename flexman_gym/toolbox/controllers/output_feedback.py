@@ -18,7 +18,7 @@ from flexman_gym.toolbox.controllers.observers.estimator import Estimator
 from flexman_gym.toolbox.controllers.observers.kalman_filter import KalmanFilter
 from flexman_gym.toolbox.controllers.observers.observer import Estimate, Observer
 from flexman_gym.toolbox.controllers.observers.oracle import Oracle
-from flexman_gym.toolbox.controllers.references.replanned_slews import PLANNING_TIME, ReplannedTracking
+from flexman_gym.toolbox.controllers.replanned_tracking import PLANNING_TIME, ReplannedTracking
 from flexman_gym.toolbox.controllers.tracking import Tracking
 
 POSTURE_STEP = 1e-4  # rad; central difference of the equilibrium state with respect to motor angles

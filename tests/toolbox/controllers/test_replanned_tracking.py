@@ -7,8 +7,8 @@ import pytest
 from flexman_gym.envs.vector_env import FlexManVectorEnv
 from flexman_gym.metrics.signals import BAND
 from flexman_gym.toolbox.controllers.references.planned_slews import JACOBIAN_TIME, PLANNED, TRACKED
-from flexman_gym.toolbox.controllers.references.replanned_slews import ESTIMATION_TIME, PLANNING_TIME, TORQUE_FRACTION
 from flexman_gym.toolbox.controllers.references.single_shooting import SingleShooting
+from flexman_gym.toolbox.controllers.replanned_tracking import ESTIMATION_TIME, PLANNING_TIME, TORQUE_FRACTION
 
 pytestmark = pytest.mark.slow
 RRR, LAB = "FlexRRR-v0", {"payload_mass": (0.0, 20.0), "sensor_noise": (0.001, 0.001), "delay": (1, 1)}
