@@ -247,10 +247,12 @@ ADAPTIVE_PLANNED_ENTRY = ControllerEntry(
     ("structure of the model",),
     ("weights", "design", "sensors", "unknown", "biased", "thinking"),
     "`adaptive-lqr` whose slews are optimised while the arm moves, anew with each estimate",
+    passive="some",
 )
 PRIVILEGED_PLANNED_ENTRY = ControllerEntry(
     _privileged_planned,
     ("model", "true state", "true parameters"),
     ("weights", "design", "thinking"),
     "`adaptive-planned` with true state and true parameters, the benchmark",
+    passive="some",
 )

@@ -114,10 +114,12 @@ class SingleShooting:
     ) -> None:
         self._max_rate, self.budget, self.jacobians = max_rate, budget, 0
         model, (start, goal) = regulator.model, ends
-        posture = start[model.motor_columns] if len(start) == 2 * model.n_dof else start
+        self._driven = np.flatnonzero(model.constants.passive == 0)
+        moving = len(start) == 2 * model.n_dof
+        posture = (1 - model.constants.passive) * start[model.motor_columns] if moving else start
         self._regulator, self._make_batch, self._band, self._ends = regulator, make_batch, band, (posture, goal)
         self._batches: dict[int, Batch] = {}
-        self._start, self._rest = start if posture is not start else rest_state(model, start), rest_state(model, goal)
+        self._start, self._rest = start if moving else rest_state(model, start), rest_state(model, goal)
         self._holding_torques = np.array([holding_torques(model, each) for each in (posture, goal)])
         self._gain, self._target = regulator.gain(goal), rest_tips(model, goal[None])[0]
         scale = slowness / regulator.period
@@ -178,14 +180,14 @@ class SingleShooting:
         return self.budget is not None and self.jacobians >= self.budget
 
     def errors(self, knots: Array, periods: int) -> Array:
-        """Return the errors (r, T + W, 3 + n) at the ends of control periods for knots (r, K, n).
+        """Return the errors (r, T + W, 3 + m) at the ends of control periods for knots (r, K, n).
 
         W control periods under the LQR follow the T periods of the slew. An error consists of the position error (3,)
-        of the tip, m, and the motor rates (n,) as fractions of the largest rate.
+        of the tip, m, and the rates (m,) of the motors as fractions of the largest rate.
         """
-        limits, n = self._regulator.limits, len(self._regulator.limits)
-        batch, rates = self._batch(len(knots)), self._regulator.model.n_dof + self._regulator.model.motor_columns
-        result = np.empty((len(knots), periods + self._settling, 3 + n))
+        limits, model, batch = self._regulator.limits, self._regulator.model, self._batch(len(knots))
+        n, rates = len(limits), model.n_dof + model.motor_columns[self._driven]
+        result = np.empty((len(knots), periods + self._settling, 3 + len(rates)))
         drives = np.zeros((len(knots), periods, n + 6))  # motor torques, tip force, base acceleration
         drives[..., :n] = np.clip(interpolate_torques(knots, periods) / limits, -1.0, 1.0) * limits
         states, read = batch.roll(drives)
@@ -243,7 +245,7 @@ class SingleShooting:
             best = int(np.argmin(costs[:-1]))
             better = costs[best] < MAX_COST_RATIO * costs[-1]
             if better:
-                step = ((tried[best] - knots) / self._regulator.limits).ravel()
+                step = self._fractions(tried[best] - knots)
                 jacobian = _broyden_update(jacobian, step, candidate_errors[best] - errors)
                 knots, errors, updates = tried[best], candidate_errors[best], updates + 1
                 damping = float(np.clip(damping * DAMPING_FACTORS[best], MIN_DAMPING, MAX_DAMPING))
@@ -256,14 +258,14 @@ class SingleShooting:
         return None
 
     def _jacobian(self, knots: Array, periods: int) -> tuple[Array, Array]:
-        """Return the errors of knots (K, n) and their Jacobian (K n, T + W, 3 + n), per fraction of the limits."""
+        """Return the errors of knots (K, n) and their Jacobian (K m, T + W, 3 + m), per fraction of the limits."""
         self.jacobians += 1
-        steps = TORQUE_STEP * self._regulator.limits * np.eye(knots.size).reshape(-1, *knots.shape)
+        steps = self._torques(TORQUE_STEP * np.eye(self._fractions(knots).size), knots)
         errors = self.errors(np.concatenate([knots[None], knots + steps]), periods)
         return errors[0], (errors[1:] - errors[0]) / TORQUE_STEP
 
     def _residuals(self, errors: Array, arrival: int) -> Array:
-        """Return the residuals (r, ...) of errors (r, T + W, 3 + n), in bands.
+        """Return the residuals (r, ...) of errors (r, T + W, 3 + m), in bands.
 
         The residuals are the tip errors beyond the inner band in every second period from the arrival on, and the
         motor rates above RATE_BOUND.
@@ -289,11 +291,24 @@ class SingleShooting:
         slopes = (residuals[1:] - residuals[0]) / COST_DIFFERENCE_STEP
         # in the eigenvectors of J J^T, so that each damping requires a small problem only
         squares, axes = np.linalg.eigh(slopes @ slopes.T)
-        target, current = axes.T @ (slopes @ residuals[0]), (knots / limits).ravel()
+        target, current = axes.T @ (slopes @ residuals[0]), self._fractions(knots)
         bounds = -1.0 - BOUND_MARGIN - current, 1.0 + BOUND_MARGIN - current
         result = []
         for damping in dampings:
             scale = np.sqrt(np.maximum(squares, 0.0) + damping)
             step = lsq_linear(scale[:, None] * axes.T, -target / scale, bounds, method="bvls").x
-            result.append(np.clip(knots + limits * step.reshape(knots.shape), -limits, limits))
+            result.append(np.clip(knots + self._torques(step[None], knots)[0], -limits, limits))
         return np.array(result)
+
+    def _fractions(self, knots: Array) -> Array:
+        """Return the torques (K m,) of the m motors at knots (K, n), fractions of the limits."""
+        result: Array = (knots[:, self._driven] / self._regulator.limits[self._driven]).ravel()
+        return result
+
+    def _torques(self, fractions: Array, knots: Array) -> Array:
+        """Return torques (r, K, n), N m, at knots like (K, n), for fractions (r, K m) of the limits of the m motors."""
+        result = np.zeros((len(fractions), *knots.shape))
+        result[..., self._driven] = self._regulator.limits[self._driven] * fractions.reshape(
+            len(result), len(knots), -1
+        )
+        return result
