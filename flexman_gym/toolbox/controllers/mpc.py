@@ -10,6 +10,7 @@ from flexman_gym.agent.base_controllers import ControllerEntry
 from flexman_gym.agent.controller import EpisodeInfo, Plant, Readings
 from flexman_gym.agent.pd import torque_limits
 from flexman_gym.common.arrays import Array, BoolArray, IntArray, Vector, pad_rows, row_dots
+from flexman_gym.common.checks import one_of
 from flexman_gym.common.computer import optional_module
 from flexman_gym.common.errors import value_error
 from flexman_gym.kernels.layout import TIP, TIP_VELOCITY
@@ -22,6 +23,7 @@ from flexman_gym.simulation.methods import DEFAULT_METHOD, Method
 from flexman_gym.toolbox.controllers.arm_scales import ArmScales, SlewBounds
 from flexman_gym.toolbox.controllers.cost_weights import MOTOR_WEIGHT, CostWeights
 from flexman_gym.toolbox.controllers.friction_compensation import FrictionCompensation
+from flexman_gym.toolbox.controllers.references.planned_slews import JACOBIAN_TIME, PlannedLQR, make_planned
 from flexman_gym.toolbox.controllers.references.trajectories import plan_slew
 
 # Tip deviation (fraction of the reach) and tip speed / reach (1/s) that cost 1: tuned as 0.05 m and 0.5 m/s for an arm
@@ -32,6 +34,7 @@ MAX_CHANGE = 0.05  # fraction of the torque limits; largest change of planned to
 LINEARISATION_TIME = 20  # time units; the prediction is linearised at the state after this time
 LINEARISATION_POSTURES = 5  # number of postures along a slew about which the prediction is linearised
 MIN_SQUARED_LENGTH = 1e-12  # rad^2; avoids division by zero for a slew of zero length
+SLEWS = ("minimum-jerk", "planned")  # references
 MOVE_BLOCKS = (1, 2, 3, 4, 5, 5, 5, 6, 7, 7, 8, 10)  # time units over which each torque change is constant
 
 
@@ -99,9 +102,10 @@ class MPC:
 
     The simulator predicts the motion of the nonlinear arm under the previous plan. A quadratic program then computes
     changes of the torques, constant over blocks of periods (move blocking), that bring the prediction closest to a
-    minimum-jerk slew planned for 1.3 times the torque limits. The effect of the changes is linearised, with Jacobians
-    interpolated along the path. For a linear arm within its limits, the result equals the finite-horizon LQR. The
-    predictions are those of the arm without friction; friction is compensated, see `FrictionCompensation`.
+    minimum-jerk slew planned for 1.3 times the torque limits, or to an optimised slew. The effect of the changes is
+    linearised, with Jacobians interpolated along the path. For a linear arm within its limits, the result equals the
+    finite-horizon LQR. The predictions are those of the arm without friction; friction is compensated, see
+    `FrictionCompensation`.
 
     Args:
         model: model of the arm, with the same generalised coordinates as the controlled arm.
@@ -109,6 +113,7 @@ class MPC:
         period: control period, s.
         integration: method and step (s) of the prediction.
         scales: scales of the arm; None for those of the model and the torque limits.
+        planner: controller whose optimised slews are the references, where one settles; None for minimum-jerk slews.
 
     Raises:
         ImportError: without daqp (Arnström, Bemporad and Axehill, IEEE Trans. Automatic Control 67, 2022, 4362), the
@@ -126,7 +131,9 @@ class MPC:
         period: float,
         integration: tuple[str | Method, float | str] = (DEFAULT_METHOD, "auto"),
         scales: ArmScales | None = None,
+        planner: PlannedLQR | None = None,
     ) -> None:
+        self._planner, self._planning_time = planner, np.zeros(0)
         self._daqp = optional_module("daqp", "the MPC", "mpc")
         reach = float(check_model(model).constants.length.sum())
         self.model, self.period, self._integration = model, period, integration
@@ -145,24 +152,27 @@ class MPC:
     def _make_batch(self, count: int) -> Batch:
         return Batch(self._compensation.model, *self._integration, self.period, arms=count)
 
+    @property
+    def estimates(self) -> dict[str, Array]:
+        """Declared planning time (b,) of optimised slews, s, for `info`; {} for minimum-jerk slews."""
+        return {} if self._planner is None else {"planning_time": self._planning_time}
+
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
         """Plan the slews of new episodes and the predictions along them; arguments as in `Controller.reset`."""
         if episode.path is not None:
             raise value_error("episode", "a moving goal", "a fixed goal: the MPC plans slews only")
-        self._planned, self._now = pad_rows(self._planned, count), pad_rows(self._now, count)
+        for name in ("_planned", "_now", "_planning_time"):
+            setattr(self, name, pad_rows(getattr(self, name), count))
         for arm, start, goal in zip(arms.tolist(), episode.start, episode.goal, strict=True):
-            plan = self._plan(start, goal)
+            plan = self._plan(arm, start, goal)
             self._plans += [plan] * (arm + 1 - len(self._plans))
             self._plans[arm] = plan
             self._planned[arm], self._now[arm] = np.clip(plan.torques[: sum(self._blocks)], -1.0, 1.0), 0
 
-    def _plan(self, start: Array, goal: Array) -> _Plan:
-        slew, rest = (
-            plan_slew(self.model, start, goal, self._bounds, self.period),
-            sum(self._blocks) + 1,
-        )
-        states = np.vstack([slew.states, np.repeat(slew.states[-1:], rest, axis=0)])
-        torques = np.vstack([slew.torques, np.repeat(holding_torques(self.model, goal)[None], rest + 1, axis=0)])
+    def _plan(self, arm: int, start: Array, goal: Array) -> _Plan:
+        (states, torques), rest = self._slew(arm, start, goal), sum(self._blocks) + 1
+        states = np.vstack([states, np.repeat(states[-1:], rest, axis=0)])
+        torques = np.vstack([torques, np.repeat(holding_torques(self.model, goal)[None], rest + 1, axis=0)])
         batch = self._make_batch(len(states))
         batch.reset(np.arange(len(states)), states)
         postures = start + np.linspace(0.0, 1.0, LINEARISATION_POSTURES)[:, None] * (goal - start)
@@ -170,6 +180,16 @@ class MPC:
         horizons = [_design_horizon(self._compensation.model, posture, *design) for posture in postures]
         stacked = _Horizon(*(np.array(parts) for parts in zip(*horizons, strict=True)))
         return _Plan(stacked, start, goal - start, states, batch.outputs, torques / self.limits)
+
+    def _slew(self, arm: int, start: Array, goal: Array) -> tuple[Array, Array]:
+        """Return the states (T + 1, 2 d) and torques (T, n), N m, of the reference between motor angles (n,) rad."""
+        if self._planner is not None:
+            motion, jacobians = self._planner.motion(start, goal)
+            self._planning_time[arm] = JACOBIAN_TIME * jacobians
+            if motion is not None:
+                return motion
+        slew = plan_slew(self.model, start, goal, self._bounds, self.period)
+        return slew.states, slew.torques
 
     def act(self, readings: Readings, applied: Array, active: BoolArray) -> Array:
         """Return the actions (b, n) for the states; 0 for inactive arms."""
@@ -239,9 +259,14 @@ def _solve_quadratic_program(daqp: ModuleType, curvature: Array, gradient: Array
     return np.array(changes) if status > 0 else np.clip(np.zeros(len(gradient)), low, high)
 
 
+def _make(plant: Plant, slew: object = SLEWS[0]) -> MPC:
+    planner = make_planned(plant) if one_of("base.slew", slew, SLEWS) == "planned" else None
+    return MPC(plant.model, plant.torque_limit, plant.period, plant.integration, ArmScales.of_plant(plant), planner)
+
+
 ENTRY = ControllerEntry(
-    lambda plant: MPC(plant.model, plant.torque_limit, plant.period, plant.integration, ArmScales.of_plant(plant)),
+    _make,
     ("model", "true state"),
-    (),
+    ("slew",),
     "model predictive control within the torque limits",
 )

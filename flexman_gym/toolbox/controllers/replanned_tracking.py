@@ -28,7 +28,7 @@ from flexman_gym.toolbox.controllers.tracking import Tracking
 # Time of the computer, which does not scale with the arm: an arm whose slews are shorter keeps those of `Tracking`
 PLANNING_TIME = 0.3  # s; declared computing time of a plan, during which the arm moves on
 ESTIMATION_TIME = 20  # time units from the start to the first plan; earlier estimates mislead: settling is 6 % slower
-LONGEST_PLAN = 3.0  # longest time since the start of a slew for which plans are stored / duration of a slew
+LONGEST_PLAN = 3.0  # longest time from the start to the end of a plan / duration of a slew; limits cost and memory
 LEAST_REST = 0.1  # shortest time to the arrival for which a plan is made / duration of a slew
 TORQUE_FRACTION = 0.95  # fraction of the torque limits of a plan; the remainder is reserved for feedback
 SLEW_FACTOR = 0.73  # first trial duration / remaining duration of a quintic slew; shortest ones are 0.6 to 0.77
@@ -129,7 +129,7 @@ class ReplannedTracking(Tracking):
         begin = self._row(self.clock(estimate, here))[0] + self._ahead
         guess, factor = self._remaining(here, int(begin))
         trial = round(factor * LATER_FACTOR ** self._failures[arm] * guess.arrival)
-        if guess.arrival < self._least:
+        if guess.arrival < self._least or begin + trial > self._rows:
             return
         model = frictionless(estimated_model(self.slews.model, estimate.parameters, arm))
         state = self._predict(here, estimate, model)

@@ -9,15 +9,18 @@ from scipy.optimize import lsq_linear
 
 import flexman_gym as fm
 from flexman_gym.__main__ import main
+from flexman_gym.agent.base_controllers import make_base
 from flexman_gym.agent.controller import EpisodeInfo
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
+from flexman_gym.envs.config.plant import make_plant
 from flexman_gym.evaluation.rollouts import rollout
 from flexman_gym.metrics import settling_time
 from flexman_gym.model.state_space import discretize
 from flexman_gym.toolbox.controllers import mpc
 from flexman_gym.toolbox.controllers.arm_scales import ArmScales
 from flexman_gym.toolbox.controllers.cost_weights import CostWeights
+from flexman_gym.toolbox.controllers.references.planned_slews import JACOBIAN_TIME
 
 from oracles.assertions import refusal
 
@@ -286,3 +289,25 @@ def test_the_reference_is_within_the_rates():
     own.reset(ONLY, EpisodeInfo(np.zeros((1, 2)), posture[None], PERIOD), 1)
     rates = own._plans[0].states[:, model.n_dof + model.motor_columns]
     assert np.abs(rates).max() == pytest.approx(0.5, rel=0.03)
+
+
+@pytest.mark.slow
+def test_an_optimised_slew_is_followed_with_its_own_torques():
+    """The prediction equals the reference, so that no change of the torques is due until its end is near."""
+    configuration = Configuration("FlexRRR-v0")
+    plant = make_plant(configuration, resolve_fidelity(configuration).model)
+    controller, planner = make_base({"kind": "mpc", "slew": "planned"}, plant), make_base("planned", plant)
+    start, goal = np.array([0.2, -0.3, 0.4]), np.array([-0.5, 0.1, 0.6])
+    (states, torques), jacobians = planner.motion(start, goal)
+    controller.reset(ONLY, EpisodeInfo(start[None], goal[None], plant.period), 1)
+    for period in range(30):
+        action = controller.act({"state": states[period][None]}, np.zeros((1, 3)), np.ones(1, dtype=bool))
+        np.testing.assert_allclose(action[0], torques[period] / np.array(plant.torque_limit), atol=1e-9)
+    assert controller.estimates["planning_time"].tolist() == [JACOBIAN_TIME * jacobians]
+    assert make_base("mpc", plant).estimates == {}
+
+
+def test_an_unknown_slew_is_refused():
+    configuration = Configuration("FlexOne-v0")
+    plant = make_plant(configuration, resolve_fidelity(configuration).model)
+    assert "base.slew: 'bent'" in refusal(make_base, {"kind": "mpc", "slew": "bent"}, plant)

@@ -81,7 +81,7 @@ def test_the_rest_of_a_slew_is_found_from_the_state_within_it(learned):
     known, (ends, slew, _) = plant(RRR), next(iter(learned.found.values()))
     controller = PlannedLQR(known)
     torques, first = interpolate_torques(slew.knots, slew.periods), slew.periods // 3
-    state = controller._roll(fm.rest_state(known.model, ends[0]), torques[:first])[-1]
+    state = controller.roll(fm.rest_state(known.model, ends[0]), torques[:first])[-1]
     shooting = SingleShooting(
         controller, lambda count: controller._models("plans", count), BAND * 8.5, known.rate_limit, (state, ends[1]),
         budget=1,

@@ -89,43 +89,54 @@ class PlannedLQR(TrackingLQR):
 
     def _plan(self, arm: int, start: Array, goal: Array) -> None:
         """Plan the slew of an arm between motor angles (n,) rad, and start it if a plan or a prediction exists."""
-        guess = self._regression.predict(start, goal) if self._regression is not None else None
-        found = None
-        if self._budget:
-            found, self.jacobians[arm] = self._optimise(guess, (start, goal))
+        found, self.jacobians[arm] = self.find(start, goal)
         if found is not None:
             self.status[arm], self.arrivals[arm] = PLANNED, found.arrival * self.period
-        elif guess is not None:
-            found = guess
-            self.status[arm] = PREDICTED
+        elif self._regression is not None:
+            found, self.status[arm] = self._regression.predict(start, goal), PREDICTED
         else:
             return
         self._start(arm, self._plan_schedule(start, goal, interpolate_torques(found.knots, found.periods)))
 
-    def _optimise(self, guess: SlewTorques | None, ends: tuple[Array, Array]) -> tuple[SlewTorques | None, int]:
-        """Return the slew optimised from a guess, None if none settles, and the number of Jacobians.
+    def find(self, start: Array, goal: Array) -> tuple[SlewTorques | None, int]:
+        """Return the slew optimised between motor angles (n,) rad, None if none settles, and the number of Jacobians.
 
-        The ends are those of `SingleShooting`. Without a guess the search of `SingleShooting` begins with a slew.
+        Without a table of the arm the search of `SingleShooting` begins with a planned slew.
         """
-        slowness = self.scales.slew / NAMED_SLEW
+        if not self._budget:
+            return None, 0
         shooting = SingleShooting(
-            self, lambda count: self._models("plans", count), self._band, self._rate_limit, ends,
-            self._budget, slowness,
+            self, lambda count: self._models("plans", count), self._band, self._rate_limit, (start, goal),
+            self._budget, self.scales.slew / NAMED_SLEW,
         )  # fmt: skip
-        found = shooting.search() if guess is None else shooting.first(guess)
-        return found, shooting.jacobians
+        if self._regression is None:
+            return shooting.search(), shooting.jacobians
+        return shooting.first(self._regression.predict(start, goal)), shooting.jacobians
 
-    def _roll(self, state: Array, torques: Array) -> Array:
+    def motion(self, start: Array, goal: Array) -> tuple[tuple[Array, Array] | None, int]:
+        """Return simulated states (T + 1, 2 d) and torques (T, n), N m, of the slew of `find`, and its Jacobians."""
+        found, jacobians = self.find(start, goal)
+        if found is None:
+            return None, jacobians
+        torques = interpolate_torques(found.knots, found.periods)
+        return (self._states(start, goal, torques), torques), jacobians
+
+    def roll(self, state: Array, torques: Array) -> Array:
         """Return the states (T + 1, 2 d) from a state (2 d,) under torques (T, n), N m."""
         batch, drives = self._models("plan", 1), np.zeros((1, len(torques), len(self.limits) + 6))
         drives[0, :, : len(self.limits)] = np.clip(torques / self.limits, -1.0, 1.0) * self.limits
         batch.reset(np.zeros(1, dtype=np.int64), state[None])
         return np.vstack([state, batch.roll(drives)[0][0]]) if len(torques) else state[None]
 
+    def _states(self, start: Array, goal: Array, torques: Array) -> Array:
+        """Return the states (T + 1, 2 d) under torques (T, n), N m, between equilibria at motor angles (n,) rad."""
+        result = self.roll(rest_state(self.model, start), torques)
+        result[-1] = rest_state(self.model, goal)
+        return result
+
     def _plan_schedule(self, start: Array, goal: Array, torques: Array) -> GainSchedule:
         """Return the schedule of a plan: simulated states, torques (T, n), and gains at postures along its motion."""
-        states = self._roll(rest_state(self.model, start), torques)
-        states[-1] = rest_state(self.model, goal)
+        states = self._states(start, goal, torques)
         rows = np.linspace(0, len(torques), GAIN_POSTURES).round().astype(int)
         gains = np.array([self.gain(states[row, self.model.motor_columns]) for row in rows])
         positions = np.interp(np.arange(len(states)), rows, np.arange(len(rows)))
@@ -155,7 +166,8 @@ def _regression(
     return SlewRegression.of_model(slews, model, limits) if slews.is_of(arm) else None
 
 
-def _make(plant: Plant, table: object = None, thinking: object = THINKING, **given: Any) -> PlannedLQR:
+def make_planned(plant: Plant, table: object = None, thinking: object = THINKING, **given: Any) -> PlannedLQR:
+    """Return the controller of the entry "planned" for a plant, see `PlannedLQR`."""
     scales = ArmScales.of_plant(plant, given.pop("design", None))
     path = LEARNED_TABLE if table is None else Path(text("base.table", table))
     written = path.stat().st_mtime if path.exists() else 0.0
@@ -166,7 +178,7 @@ def _make(plant: Plant, table: object = None, thinking: object = THINKING, **giv
 
 
 ENTRY = ControllerEntry(
-    _make,
+    make_planned,
     ("model", "true state"),
     ("table", "thinking", "weights", "design"),
     "a slew optimised at the start of each episode, and a linear-quadratic regulator about its simulated states",
