@@ -53,6 +53,7 @@ MOTOR_CONTROLLERS = ("pd", "pd-shaped")  # they read motor angles only
 POLICY = "a policy trained by "  # first words of the description of a policy
 TITLES = {
     "adaptive-lqr": "adaptive LQR that tracks a slew",
+    "adaptive-planned": "adaptive LQR, slews optimised in motion",
     "lqg": "Kalman filter and LQR that tracks a slew",
     "lqr": "LQR at the target",
     "lqr-tracking": "LQR that tracks a slew",
@@ -61,7 +62,9 @@ TITLES = {
     "pd": "PD of the motors, tuned",
     "pd-torque": "PD with joint-torque feedback",
     "pd-shaped": "the PD with input shaping (ZVD)",
+    "planned": "LQR, slews optimised before they start",
     "privileged-lqr": "LQR that tracks a slew",
+    "privileged-planned": "LQR, slews optimised in motion",
 }
 ARMS = {
     "FlexRRR": "three flexible links, flexible joints, the paper's arm with heavier rotors and damping",
