@@ -22,12 +22,13 @@ FIRST_FACTOR = 0.8  # dimensionless; first trial duration, relative to a minimum
 SHORTER_FACTOR = 0.88  # dimensionless; next trial duration after a success, relative to the last
 LONGER_FACTOR = 1.12  # dimensionless; next trial duration after a failure, relative to the last
 LATE_FACTOR = 1.08  # dimensionless; first trial duration / predicted one; with 1, a third of the slews need more trials
-LATER_FACTOR = 1.05  # dimensionless; next trial duration after a failure of a predicted slew, relative to the last
+LATER_FACTOR = 1.08  # dimensionless; next trial duration after a failure of a predicted slew, relative to the last
 DURATION_TOLERANCE = 0.012  # dimensionless; relative difference of failed and successful duration that ends the search
 MAX_STRETCH = 3.0  # dimensionless; longest trial duration / the first
 MAX_DURATIONS = 40  # largest number of trial durations
 MAX_STEPS = 60  # largest number of Gauss-Newton steps for one duration
 MAX_JACOBIANS = 12  # largest number of Jacobians for one duration
+FEW_JACOBIANS = 2  # the same for a predicted slew: a longer duration needs fewer Jacobians than a second attempt
 INNER_BAND = 0.6  # fraction of the band; smaller errors have no weight
 SETTLED_BAND = 0.995  # fraction of the band within which the tip counts as settled
 DAMPING_FACTORS = np.array([0.1, 1.0, 10.0, 100.0])  # dimensionless; changes of the damping that are tried in each step
@@ -145,7 +146,7 @@ class SingleShooting:
         """
         arrival, found = max(1, round(LATE_FACTOR * solution.arrival)), None
         for _ in range(MAX_DURATIONS):
-            found = self._solve(self.rescale(solution, arrival), arrival)
+            found = self._solve(self.rescale(solution, arrival), arrival, FEW_JACOBIANS)
             if found is not None or self._exhausted():
                 break
             arrival = int(np.ceil(LATER_FACTOR * arrival))
@@ -226,8 +227,14 @@ class SingleShooting:
         )
         return np.clip(holding + (torques - holding) * speed**2, -limits, limits)
 
-    def _solve(self, knots: Array, arrival: int) -> SlewTorques | None:
-        """Return the slew whose tip stays within the band from the arrival on; None if the iteration fails."""
+    def _solve(self, knots: Array, arrival: int, most: int = MAX_JACOBIANS) -> SlewTorques | None:
+        """Return the slew whose tip stays within the band from the arrival on; None if the iteration fails.
+
+        Args:
+            knots: (K, n) first torques, N m.
+            arrival: arrival time, control periods.
+            most: largest number of Jacobians.
+        """
         periods, damping, updates, jacobians = arrival + self._tail, INITIAL_DAMPING, 0, 0
         errors, jacobian = self.errors(knots[None], periods)[0], None
         for _ in range(MAX_STEPS):
@@ -235,7 +242,7 @@ class SingleShooting:
             if outside.max(initial=-1) < arrival - 1 and np.abs(errors[:, 3:]).max() <= MAX_RATE:
                 return SlewTorques(knots, periods, int(outside.max(initial=-1)) + 2)
             if jacobian is None:
-                if jacobians >= MAX_JACOBIANS or self._exhausted():
+                if jacobians >= most or self._exhausted():
                     break
                 errors, jacobian = self._jacobian(knots, periods)
                 updates, jacobians = 0, jacobians + 1
