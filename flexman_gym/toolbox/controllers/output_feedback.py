@@ -18,6 +18,7 @@ from flexman_gym.toolbox.controllers.observers.estimator import Estimator
 from flexman_gym.toolbox.controllers.observers.kalman_filter import KalmanFilter
 from flexman_gym.toolbox.controllers.observers.observer import Estimate, Observer
 from flexman_gym.toolbox.controllers.observers.oracle import Oracle
+from flexman_gym.toolbox.controllers.references.trajectories import TIME_OPTIMAL
 from flexman_gym.toolbox.controllers.tracking import Tracking
 
 POSTURE_STEP = 1e-4  # rad; central difference of the equilibrium state with respect to motor angles
@@ -161,21 +162,22 @@ class LinearOutputFeedback:
         return np.clip((t["holding"] - t["K"] @ self._deviation) / limits, -1.0, 1.0)[None]
 
 
-def _lqg(plant: Plant, weights: object = None, design: object = None, **options: Any) -> OutputFeedback:
-    return OutputFeedback(KalmanFilter(plant, **options), _law(plant, weights, design))
+def _lqg(plant: Plant, **options: Any) -> OutputFeedback:
+    law = _law(plant, options)
+    return OutputFeedback(KalmanFilter(plant, **options), law)
 
 
-def _adaptive(
-    plant: Plant, weights: object = None, unknown: Any = None, design: object = None, **options: Any
-) -> OutputFeedback:
+def _adaptive(plant: Plant, unknown: Any = None, **options: Any) -> OutputFeedback:
     plant = plant if unknown is None else plant._replace(unknown=unknown)
-    law = _law(plant, weights, design)
+    law = _law(plant, options)
     return OutputFeedback(Estimator(plant, unit=law.unit, **options), law, _fallback(plant))
 
 
-def _law(plant: Plant, weights: object, design: object, retimed: bool = True) -> Tracking:
-    scales = ArmScales.of_plant(plant, design)
-    return Tracking(plant, parse_weights(weights, scales), retimed, scales)
+def _law(plant: Plant, options: dict[str, Any], retimed: bool = True) -> Tracking:
+    """Return the tracking law for options of a base controller, from which those of the law are removed."""
+    scales = ArmScales.of_plant(plant, options.pop("design", None))
+    weights = parse_weights(options.pop("weights", None), scales)
+    return Tracking(plant, weights, retimed, scales, options.pop("timing", TIME_OPTIMAL))
 
 
 def _fallback(plant: Plant) -> PD | None:
@@ -186,24 +188,22 @@ def _fallback(plant: Plant) -> PD | None:
         return None
 
 
-def _privileged(
-    plant: Plant, weights: object = None, doubt: object = False, retimed: object = True, design: object = None
-) -> OutputFeedback:
-    law = _law(plant, weights, design, flag("base.retimed", retimed))
+def _privileged(plant: Plant, doubt: object = False, retimed: object = True, **options: Any) -> OutputFeedback:
+    law = _law(plant, options, flag("base.retimed", retimed))
     return OutputFeedback(Oracle(plant, flag("base.doubt", doubt)), law)
 
 
 LQG_ENTRY = ControllerEntry(
     _lqg,
     ("model",),
-    ("weights", "design", "sensors", "noise", "disturbed", "biased", "fixed"),
+    ("weights", "design", "timing", "sensors", "noise", "disturbed", "biased", "fixed"),
     "a Kalman filter of the nominal arm with laboratory measurements, and `lqr-tracking`",
     passive="some",
 )
 ADAPTIVE_ENTRY = ControllerEntry(
     _adaptive,
     ("structure of the model",),
-    ("weights", "design", "sensors", "unknown", "biased"),
+    ("weights", "design", "timing", "sensors", "unknown", "biased"),
     "an output-error estimator with eleven simulated arms, fitted to laboratory measurements, and `lqr-tracking` "
     "for the estimated arm; the PD if no fit explains the measurements",
     passive="some",
@@ -211,7 +211,7 @@ ADAPTIVE_ENTRY = ControllerEntry(
 PRIVILEGED_ENTRY = ControllerEntry(
     _privileged,
     ("model", "true state", "true parameters"),
-    ("weights", "design", "doubt", "retimed"),
+    ("weights", "design", "timing", "doubt", "retimed"),
     "`lqr-tracking` with true state and true parameters, the benchmark",
     passive="some",
 )

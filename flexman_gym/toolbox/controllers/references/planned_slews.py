@@ -25,7 +25,7 @@ from flexman_gym.toolbox.controllers.references.single_shooting import (
     interpolate_torques,
 )
 from flexman_gym.toolbox.controllers.references.slew_regression import SlewRegression
-from flexman_gym.toolbox.controllers.references.trajectories import plan_slew
+from flexman_gym.toolbox.controllers.references.trajectories import QUINTIC, plan_slew
 
 LEARNED_TABLE = Path(__file__).parent / "tables" / "FlexRRR-v0-learned.npz"
 # Times of the computer, which do not scale with the arm: a Jacobian with its steps, for the arm of FlexRRR-v0
@@ -67,7 +67,7 @@ class PlannedLQR(TrackingLQR):
         moving: bool = False,
         **given: Any,
     ) -> None:
-        super().__init__(plant.model, plant.torque_scales, plant.period, **given)
+        super().__init__(plant.model, plant.torque_scales, plant.period, timing=QUINTIC, **given)
         self._regression, self._moving = regression, moving
         usual = MOVING_TIME if moving else THINKING
         self.thinking = non_negative("base.thinking", usual if thinking is None else thinking, "s")
@@ -127,7 +127,7 @@ class PlannedLQR(TrackingLQR):
         if not self._moving:
             return None
         bounds = self.scales.bounds(self.limits, FEEDFORWARD_FRACTION)
-        torques = plan_slew(self.model, start, goal, bounds, self.period, self.timing_law).torques
+        torques = plan_slew(self.model, start, goal, bounds, self.period).torques
         return SlewTorques(torques, len(torques), len(torques))
 
     def _optimise(
