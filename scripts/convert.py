@@ -22,7 +22,8 @@ from flexman_gym.toolbox.league.rows import CELLS, ROWS
 FILES = (SETTINGS, NEWEST, BEST, METADATA, CERTIFICATE, ROWS, CELLS)  # files of a folder that are converted
 # Old key or name -> present one, by the place where it is stored.
 ENVIRONMENT_KEYS = {"hold": "action_repeat", "tell": "info_keys"}
-BASE_KEYS = {"law": "timing_law"}
+BASE_KEYS = {"law": "timing", "timing_law": "timing"}
+TIMINGS = {"minimum-jerk": "quintic"}
 PARAMETER_KEYS = {"link_stiffness": "link_stiffness_factor"}
 RANGE_KEYS = {name: key for key, name in UNCERTAIN.items() if key != name} | PARAMETER_KEYS
 METHODS = {f"{name}_sweeps": name for name in ("gauss_2", "gauss_3", "midpoint_2", "midpoint_3")}
@@ -44,6 +45,8 @@ REMOVED_SETTINGS = ("engine",)  # settings of runs of RLlib
 ADDED_CONSTANTS = frozenset(  # constants of an arm that were added; a state without them has those of its environment
     ("coulomb_rate", "knee_share", "knee_twist", "ripple_torque", "static_excess", "stribeck_rate")
 )
+TRACKING_BASES = ("lqr-tracking", "lqg", "adaptive-lqr", "privileged-lqr")  # base controllers that track slews
+FORMER_TIMING = "quintic"  # timing of these base controllers in run folders and policies that name none
 FORMER_METHOD = "midpoint_3"  # method of environments in run folders and policies that name none
 
 
@@ -60,11 +63,22 @@ def rename(data: Mapping[str, Any], names: Mapping[str, str]) -> dict[str, Any]:
     return {names.get(key, key): value for key, value in data.items()}
 
 
-def present_base(data: Any) -> Any:
-    """Return a base controller with present keys of its arguments and of its uncertain parameters."""
+def present_base(data: Any, stored: bool = False) -> Any:
+    """Return a base controller with present keys of its arguments and of its uncertain parameters.
+
+    Args:
+        data: name or mapping.
+        stored: True for a base in a run folder or a policy, which without a timing had FORMER_TIMING.
+    """
+    if stored and data in TRACKING_BASES:
+        data = {"kind": data}
     if not isinstance(data, dict):
         return data
     result = rename(data, BASE_KEYS)
+    if "timing" in result:
+        result["timing"] = TIMINGS.get(result["timing"], result["timing"])
+    elif stored and result.get("kind") in TRACKING_BASES:
+        result["timing"] = FORMER_TIMING
     if isinstance(result.get("unknown"), dict):
         result["unknown"] = rename(result["unknown"], RANGE_KEYS)
     return result
@@ -75,14 +89,15 @@ def present_environment(data: Any, stored: bool = False) -> Any:
 
     Args:
         data: the mapping.
-        stored: True for an environment in a run folder or a policy, which without a method had FORMER_METHOD; a file of
-            the user without a method has the default method. With fidelity="auto" the method is chosen.
+        stored: True for an environment in a run folder or a policy, which without a method had FORMER_METHOD and
+            whose base without a timing had FORMER_TIMING; a file of the user without them has the defaults. With
+            fidelity="auto" the method is chosen.
     """
     if not isinstance(data, dict):
         return data
     result = rename(data, ENVIRONMENT_KEYS)
     if "base" in result:
-        result["base"] = present_base(result["base"])
+        result["base"] = present_base(result["base"], stored)
     if stored and result.get("fidelity", "default") == "default":
         result.setdefault("method", FORMER_METHOD)
     if isinstance(result.get("method"), str):
@@ -99,11 +114,11 @@ def present_settings(data: Mapping[str, Any], stored: bool = False) -> dict[str,
     if isinstance(result.get("hyperparameters"), dict):
         result["hyperparameters"] = rename(result["hyperparameters"], SETTINGS_KEYS)
         if "teacher" in result["hyperparameters"]:
-            result["hyperparameters"]["teacher"] = present_base(result["hyperparameters"]["teacher"])
+            result["hyperparameters"]["teacher"] = present_base(result["hyperparameters"]["teacher"], stored)
     if "environment" in result:
         result["environment"] = present_environment(result["environment"], stored)
     if "base_in_use" in result:
-        result["base_in_use"] = present_base(result["base_in_use"])
+        result["base_in_use"] = present_base(result["base_in_use"], stored)
     return result
 
 

@@ -211,7 +211,9 @@ def test_rows_of_a_study_keep_all_other_characters(tmp_path, monkeypatch):
         ({"hold": 3}, {"action_repeat": 3}, "hold"),
         ({"tell": ["tip"]}, {"info_keys": ["tip"]}, "tell"),
         ({"base": {"kind": "lqr-tracking", "law": "trapezoid"}},
-         {"base": {"kind": "lqr-tracking", "timing_law": "trapezoid"}}, "law"),
+         {"base": {"kind": "lqr-tracking", "timing": "trapezoid"}}, "law"),
+        ({"base": {"kind": "lqr-tracking", "timing_law": "minimum-jerk"}},
+         {"base": {"kind": "lqr-tracking", "timing": "quintic"}}, "timing_law"),
         ({"method": "midpoint_3_sweeps"}, {"method": "midpoint_3"}, "method"),
     ],
 )  # fmt: skip
@@ -221,10 +223,23 @@ def test_a_file_of_an_environment_with_an_old_key_is_refused_until_it_is_convert
     path = tmp_path / f"own{suffix}"
     files.write_data(path, {"id": "FlexOne-v0", **before})
     line = refusal(lambda: FlexManEnv(**Configuration.load(path).keywords()))
-    assert key in line and (key == "law" or line.startswith(f"{path}: "))
-    assert key in ("law", "method") or line.endswith(HINT)
+    assert key in line and ("law" in key or line.startswith(f"{path}: "))
+    assert key in ("law", "timing_law", "method") or line.endswith(HINT)
     assert converted(monkeypatch, path) == 0
     assert Configuration.load(path) == Configuration("FlexOne-v0", now)
+
+
+@pytest.mark.parametrize("kind", ["lqr-tracking", "lqg", "adaptive-lqr", "privileged-lqr"])
+def test_a_stored_base_that_tracks_slews_keeps_its_quintics(kind):
+    """Run folders and policies without a timing had quintics; an environment of the user gets the default."""
+    settings = {"environment": {"base": kind}, "base_in_use": {"kind": kind, "design": "named"}}
+    settings["hyperparameters"] = {"teacher": kind}
+    present, quintic = CONVERT.present_settings(settings, stored=True), {"kind": kind, "timing": "quintic"}
+    assert present["environment"]["base"] == present["hyperparameters"]["teacher"] == quintic
+    assert present["base_in_use"] == {**quintic, "design": "named"}
+    assert CONVERT.present_settings(present, stored=True) == present
+    assert CONVERT.present_settings(settings)["environment"]["base"] == kind
+    assert CONVERT.present_base("pd", stored=True) == "pd"
 
 
 def test_a_stored_training_state_with_an_old_field_is_refused_in_one_line(tmp_path):

@@ -72,7 +72,7 @@ def test_a_command_of_too_many_control_periods_is_refused_at_the_reset(agent, en
 def test_a_planned_slew_is_refused_beyond_its_bound_of_control_periods(monkeypatch):
     """With a bound of one period less than the fastest slew has; with just as many it is planned."""
     model = fm.build_model(fm.catalog.one_joint(), 1)
-    given = model, np.zeros(1), np.ones(1), SlewBounds(np.full(1, 0.5), 0.8), 0.02, "minimum-jerk"
+    given = model, np.zeros(1), np.ones(1), SlewBounds(np.full(1, 0.5), 0.8), 0.02, "quintic"
     count = len(trajectories.plan_slew(*given).torques)
     monkeypatch.setattr(trajectories, "MAX_PERIODS", count)
     assert len(trajectories.plan_slew(*given).torques) == count

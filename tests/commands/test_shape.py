@@ -13,7 +13,7 @@ from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.toolbox.controllers.excited_modes import excited_modes
 from flexman_gym.toolbox.controllers.input_shaping.joint_trajectory import read_trajectory
-from flexman_gym.toolbox.controllers.references.trajectories import TIMING_LAWS
+from flexman_gym.toolbox.controllers.references.trajectories import TIMINGS
 
 from oracles.files import REFERENCE
 
@@ -104,7 +104,7 @@ def test_a_trajectory_is_shaped_for_a_record_and_for_an_arm(tmp_path, capsys):
     vibration = np.exp(-2.0 * np.pi * frequency * ratio * times) * np.cos(2.0 * np.pi * damped * times)
     noisy = vibration + 0.01 * np.random.default_rng(0).standard_normal(len(times))
     write_csv(tmp_path / "ringing.csv", {"time (s)": times, "strain (um/m)": noisy})
-    moved = TIMING_LAWS["minimum-jerk"].at(np.linspace(0.0, 1.0, 201))[0]
+    moved = TIMINGS["quintic"].at(np.linspace(0.0, 1.0, 201))[0]
     move, out, picture = (str(tmp_path / name) for name in ("move.csv", "out.csv", "picture.png"))
     write_csv(move, {"time (s)": 0.01 * np.arange(201), "joint (rad)": 0.5 * moved})
     modes = []

@@ -18,6 +18,7 @@ CHANGE = 0.46  # rad; root mean square of the changes of motor angles from -0.8 
 TORQUE_FRACTION, LEAST_FRACTION = 0.95, 0.05  # fractions of the torque limits: of a slew with its weight, beside weight
 SPEED_FRACTION, RATE_FRACTION = 0.85, 0.6  # largest planned rate / largest speed of a motor, / limit of motor rates
 RINGING_AMPLITUDE = 0.1  # fraction of the largest tip amplitude of a mode; smaller ones do not ring
+PENDULUM_RATIO = 0.9  # fraction of the lowest frequency with held motors; slower modes of free motors: pendulum motion
 # Shortest slew / period of the first mode that rings: SHORTEST_FACTOR / torque ratio, within SHORTEST_RANGE. At 1.6
 # periods a minimum-jerk motion leaves no vibration of held motors. Weak motors do not excite that much, and the
 # regulator damps the rest: with 1.6 periods for every arm, FlexRRR-v0 settles in 4.5 s instead of 3.0 s.
@@ -34,12 +35,18 @@ class SlewBounds(NamedTuple):
         fraction: fraction of the limits available to a slew; the remainder is reserved for feedback.
         rates: (n,) largest rates of the joints, rad/s.
         vibrations: shortest duration, in periods of the first mode that rings at the goal.
+        free: period of the first mode with free motors, s, for time-optimal slews, see `free_period`.
     """
 
     limits: Vector
     fraction: float
     rates: Array | float = np.inf
     vibrations: float = 0.0
+    free: float = 0.0
+
+    def time_optimal(self, model: Model) -> Self:
+        """Return the bounds of time-optimal slews of a model."""
+        return self._replace(free=free_period(model, np.full(model.n_joints, POSTURE)))
 
     def shortest(self, model: Model, goal: Array) -> float:
         """Return the shortest duration of a slew to motor angles (n,) rad, s."""
@@ -133,7 +140,25 @@ class ArmScales(NamedTuple):
 
 def ringing_period(model: Model, posture: Array) -> float:
     """Return the period of the first mode that motors excite at the tip, at motor angles (n,) rad; 0 without one."""
-    modes = excited_modes(model, posture)
+    return _first_period(excited_modes(model, posture))
+
+
+def free_period(model: Model, posture: Array) -> float:
+    """Return the period of the first mode that torques of free motors excite at the tip, s; 0 without one.
+
+    Free motors move the whole arm, and under gravity as a pendulum. All other modes are at least as fast as the first
+    one with held motors.
+
+    Args:
+        model: model of the arm.
+        posture: (n,) motor angles, rad.
+    """
+    held, free = excited_modes(model, posture), excited_modes(model, posture, held=False)
+    return _first_period(free[free[:, 0] >= PENDULUM_RATIO * held[:, 0].min(initial=np.inf)])
+
+
+def _first_period(modes: Array) -> float:
+    """Return the period of the first of the modes (k, 3) of `excited_modes` that rings, s; 0 without one."""
     ringing = modes[modes[:, 2] >= RINGING_AMPLITUDE * modes[:, 2].max(initial=0.0), 0]
     return 1.0 / float(ringing[0]) if len(ringing) else 0.0
 

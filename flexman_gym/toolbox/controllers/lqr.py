@@ -17,7 +17,7 @@ from flexman_gym.model.statics import holding_torques, rest_state
 from flexman_gym.toolbox.controllers.arm_scales import ArmScales
 from flexman_gym.toolbox.controllers.cost_weights import CostWeights, NamedWeights, parse_weights, posture_gain
 from flexman_gym.toolbox.controllers.friction_compensation import FrictionCompensation
-from flexman_gym.toolbox.controllers.references.trajectories import TIMING_LAWS, plan_path, plan_slew
+from flexman_gym.toolbox.controllers.references.trajectories import TIME_OPTIMAL, TIMING_NAMES, plan_path, plan_slew
 
 HOLDING_FACTOR = 0.25  # dimensionless; factor of the tip deviation of unit cost for an arm that starts at its goal
 FEEDFORWARD_FRACTION = 0.95  # fraction of the torque limits available to the feed-forward
@@ -166,7 +166,7 @@ class TrackingLQR(LQR):
         torque_limit: see `LQR`.
         period: see `LQR`.
         weights: cost weights; None for `CostWeights.default`.
-        timing_law: timing law of the slew: "minimum-jerk", "trapezoid" or "double-s".
+        timing: timing of the slew, see `plan_slew`: "time-optimal", "quintic", "trapezoid" or "double-s".
         scales: see `LQR`.
     """
 
@@ -179,11 +179,13 @@ class TrackingLQR(LQR):
         torque_limit: float | Vector,
         period: float,
         weights: CostWeights | None = None,
-        timing_law: str = "minimum-jerk",
+        timing: str = TIME_OPTIMAL,
         scales: ArmScales | None = None,
     ) -> None:
         super().__init__(model, torque_limit, period, weights, scales)
-        self.timing_law = one_of("timing_law", timing_law, TIMING_LAWS)
+        self.timing = one_of("timing", timing, TIMING_NAMES)
+        bounds = self.scales.bounds(self.limits, FEEDFORWARD_FRACTION)
+        self._bounds = bounds.time_optimal(model) if timing == TIME_OPTIMAL else bounds
         self._schedules: list[GainSchedule] = []
         self._now = np.zeros(0, dtype=np.int64)
 
@@ -195,12 +197,12 @@ class TrackingLQR(LQR):
         if episode.reference is not None:
             self._plan_paths(arms, episode.reference)
             return
-        motors, bounds = self.model.driven_columns, self.scales.bounds(self.limits, FEEDFORWARD_FRACTION)
+        motors = self.model.driven_columns
         for arm, first, last in zip(arms, episode.start, episode.goal, strict=True):
             if np.array_equal(first, last):
                 self._start(int(arm), self._holding_schedule(last))
                 continue
-            slew = plan_slew(self.model, first, last, bounds, self.period, self.timing_law)
+            slew = plan_slew(self.model, first, last, self._bounds, self.period, self.timing)
             gains = np.array(
                 [self.gain(first + progress * (last - first)) for progress in np.linspace(0.0, 1.0, SLEW_POSTURES)]
             )
@@ -280,7 +282,7 @@ LQR_ENTRY = ControllerEntry(
 TRACKING_ENTRY = ControllerEntry(
     _maker(TrackingLQR),
     ("model", "true state"),
-    ("weights", "timing_law", "design"),
+    ("weights", "design", "timing"),
     "a linear-quadratic regulator that tracks a smooth slew, or a path",
     passive="some",
 )

@@ -13,11 +13,12 @@ from flexman_gym.common.checks import flag, positive
 from flexman_gym.common.errors import value_error
 from flexman_gym.model.statics import rest_state
 from flexman_gym.toolbox.controllers.arm_scales import ArmScales
-from flexman_gym.toolbox.controllers.cost_weights import parse_weights
+from flexman_gym.toolbox.controllers.cost_weights import CostWeights, parse_weights
 from flexman_gym.toolbox.controllers.observers.estimator import Estimator
 from flexman_gym.toolbox.controllers.observers.kalman_filter import KalmanFilter
 from flexman_gym.toolbox.controllers.observers.observer import Estimate, Observer
 from flexman_gym.toolbox.controllers.observers.oracle import Oracle
+from flexman_gym.toolbox.controllers.references.trajectories import TIME_OPTIMAL
 from flexman_gym.toolbox.controllers.replanned_tracking import PLANNING_TIME, ReplannedTracking
 from flexman_gym.toolbox.controllers.tracking import Tracking
 
@@ -162,41 +163,40 @@ class LinearOutputFeedback:
         return np.clip((t["holding"] - t["K"] @ self._deviation) / limits, -1.0, 1.0)[None]
 
 
-def _lqg(plant: Plant, weights: object = None, design: object = None, **options: Any) -> OutputFeedback:
-    return OutputFeedback(KalmanFilter(plant, **options), _law(plant, weights, design))
+def _lqg(plant: Plant, **options: Any) -> OutputFeedback:
+    law = _law(plant, options)
+    return OutputFeedback(KalmanFilter(plant, **options), law)
 
 
-def _adaptive(
-    plant: Plant, weights: object = None, unknown: Any = None, design: object = None, **options: Any
-) -> OutputFeedback:
+def _adaptive(plant: Plant, unknown: Any = None, **options: Any) -> OutputFeedback:
     plant = plant if unknown is None else plant._replace(unknown=unknown)
-    return _with_estimator(plant, _law(plant, weights, design), **options)
+    return _with_estimator(plant, _law(plant, options), options)
 
 
-def _adaptive_planned(
-    plant: Plant,
-    weights: object = None,
-    unknown: Any = None,
-    design: object = None,
-    thinking: object = PLANNING_TIME,
-    **options: Any,
-) -> OutputFeedback:
+def _adaptive_planned(plant: Plant, unknown: Any = None, **options: Any) -> OutputFeedback:
     plant = plant if unknown is None else plant._replace(unknown=unknown)
-    return _with_estimator(plant, _replanned(plant, weights, design, thinking, known=not plant.unknown), **options)
+    return _with_estimator(plant, _replanned(plant, options, known=not plant.unknown), options)
 
 
-def _with_estimator(plant: Plant, law: Tracking, **options: Any) -> OutputFeedback:
+def _with_estimator(plant: Plant, law: Tracking, options: dict[str, Any]) -> OutputFeedback:
     return OutputFeedback(Estimator(plant, unit=law.unit, **options), law, _fallback(plant))
 
 
-def _law(plant: Plant, weights: object, design: object, retimed: bool = True) -> Tracking:
-    scales = ArmScales.of_plant(plant, design)
-    return Tracking(plant, parse_weights(weights, scales), retimed, scales)
+def _law(plant: Plant, options: dict[str, Any], retimed: bool = True) -> Tracking:
+    """Return the tracking law for options of a base controller, from which those of the law are removed."""
+    weights, scales = _weights(plant, options)
+    return Tracking(plant, weights, retimed, scales, options.pop("timing", TIME_OPTIMAL))
 
 
-def _replanned(plant: Plant, weights: object, design: object, thinking: object, known: bool) -> ReplannedTracking:
-    scales, time = ArmScales.of_plant(plant, design), positive("base.thinking", thinking, "s")
-    return ReplannedTracking(plant, parse_weights(weights, scales), scales, time, known)
+def _replanned(plant: Plant, options: dict[str, Any], known: bool) -> ReplannedTracking:
+    """Return the law that plans in motion for options of a base controller, from which those of the law are removed."""
+    time = positive("base.thinking", options.pop("thinking", PLANNING_TIME), "s")
+    return ReplannedTracking(plant, *_weights(plant, options), time, known)
+
+
+def _weights(plant: Plant, options: dict[str, Any]) -> tuple[CostWeights | None, ArmScales]:
+    scales = ArmScales.of_plant(plant, options.pop("design", None))
+    return parse_weights(options.pop("weights", None), scales), scales
 
 
 def _fallback(plant: Plant) -> PD | None:
@@ -207,30 +207,26 @@ def _fallback(plant: Plant) -> PD | None:
         return None
 
 
-def _privileged(
-    plant: Plant, weights: object = None, doubt: object = False, retimed: object = True, design: object = None
-) -> OutputFeedback:
-    law = _law(plant, weights, design, flag("base.retimed", retimed))
+def _privileged(plant: Plant, doubt: object = False, retimed: object = True, **options: Any) -> OutputFeedback:
+    law = _law(plant, options, flag("base.retimed", retimed))
     return OutputFeedback(Oracle(plant, flag("base.doubt", doubt)), law)
 
 
-def _privileged_planned(
-    plant: Plant, weights: object = None, design: object = None, thinking: object = PLANNING_TIME
-) -> OutputFeedback:
-    return OutputFeedback(Oracle(plant), _replanned(plant, weights, design, thinking, known=True))
+def _privileged_planned(plant: Plant, **options: Any) -> OutputFeedback:
+    return OutputFeedback(Oracle(plant), _replanned(plant, options, known=True))
 
 
 LQG_ENTRY = ControllerEntry(
     _lqg,
     ("model",),
-    ("weights", "design", "sensors", "noise", "disturbed", "biased", "fixed"),
+    ("weights", "design", "timing", "sensors", "noise", "disturbed", "biased", "fixed"),
     "a Kalman filter of the nominal arm with laboratory measurements, and `lqr-tracking`",
     passive="some",
 )
 ADAPTIVE_ENTRY = ControllerEntry(
     _adaptive,
     ("structure of the model",),
-    ("weights", "design", "sensors", "unknown", "biased"),
+    ("weights", "design", "timing", "sensors", "unknown", "biased"),
     "an output-error estimator with eleven simulated arms, fitted to laboratory measurements, and `lqr-tracking` "
     "for the estimated arm; the PD if no fit explains the measurements",
     passive="some",
@@ -238,7 +234,7 @@ ADAPTIVE_ENTRY = ControllerEntry(
 PRIVILEGED_ENTRY = ControllerEntry(
     _privileged,
     ("model", "true state", "true parameters"),
-    ("weights", "design", "doubt", "retimed"),
+    ("weights", "design", "timing", "doubt", "retimed"),
     "`lqr-tracking` with true state and true parameters, the benchmark",
     passive="some",
 )

@@ -11,7 +11,7 @@ from flexman_gym.model.dynamics import mass_matrix
 from flexman_gym.model.friction import friction_coefficients, mean_friction_derivatives, mean_friction_torques
 from flexman_gym.model.statics import holding_torques
 from flexman_gym.simulation.physical_parameters import varied_model
-from flexman_gym.toolbox.controllers.references.trajectories import TIMING_LAWS
+from flexman_gym.toolbox.controllers.references.trajectories import QUINTIC, TIMINGS
 
 
 class _Tuning(NamedTuple):
@@ -133,7 +133,7 @@ class TorqueFeedbackPD:
         """Return the torques without friction, N m, and the motor rates at both ends of the period, rad/s, (b, n)."""
         rates, twists = np.asarray(readings["motor_rates"], dtype=float), readings["joint_twists"]
         durations = self._scales[self._classes] * np.sqrt(np.abs(self._rotation).max(axis=1) + SMALL_ANGLE)
-        timing = TIMING_LAWS["minimum-jerk"].at(self._ages * self._period / durations)
+        timing = TIMINGS[QUINTIC].at(self._ages * self._period / durations)
         progress, speed, acceleration = (each[:, None] for each in timing)
         speed, acceleration = speed / durations[:, None], acceleration / durations[:, None] ** 2
         errors = readings["angle_errors"] - (1.0 - progress) * self._rotation

@@ -12,6 +12,7 @@ from flexman_gym.toolbox.controllers.lqr import FEEDFORWARD_FRACTION, HOLDING_FA
 from flexman_gym.toolbox.controllers.observers.observer import Estimate
 from flexman_gym.toolbox.controllers.reference_shaping import ReferenceShaping
 from flexman_gym.toolbox.controllers.references.adaptive_references import PathReferences, SlewReferences
+from flexman_gym.toolbox.controllers.references.trajectories import TIME_OPTIMAL
 
 RETIMING_TIMES = (6, 12, 20, 30, 45)  # time units since the start of an episode at which timing is replanned
 LAST_RETIMING = 0.75  # path parameter beyond which the timing is not replanned
@@ -22,8 +23,8 @@ END_INTERVAL = 25  # time units between two computations of the static equilibri
 class Tracking:
     """Tracking law of b arms: torque = feed-forward - K (state - reference).
 
-    The gains are scheduled by posture and payload. Slews are straight lines in motor space with quintic timing within
-    95 % of the torque limits. While parameter estimates converge, the timing of the remaining path is replanned from
+    The gains are scheduled by posture and payload. Slews are straight lines in motor space within 95 %
+    of the torque limits. While parameter estimates converge, the timing of the remaining path is replanned from
     the current reference. An arm that starts at its goal is held with a larger cost of the tip deviation. Gains and
     feed-forward are those of the arm without friction; friction is compensated, see `FrictionCompensation`.
 
@@ -32,6 +33,7 @@ class Tracking:
         weights: cost weights; None for `CostWeights.default`.
         retimed: True to replan the timing of slews with new parameter estimates.
         scales: scales of the arm; None for those of the plant.
+        timing: timing of the slews, see `SlewReferences`.
 
     Attributes:
         slews: references of the arms.
@@ -47,6 +49,7 @@ class Tracking:
         weights: CostWeights | None = None,
         retimed: bool = True,
         scales: ArmScales | None = None,
+        timing: str = TIME_OPTIMAL,
     ) -> None:
         model, scales = plant.model, scales or ArmScales.of_plant(plant)
         self.unit = scales.unit(plant.period)
@@ -57,7 +60,8 @@ class Tracking:
         self.limits, self._period = plant.torque_scales, plant.period
         self._paths = PathReferences(model, plant.period, payloads)
         bounds = scales.bounds(self.limits, FEEDFORWARD_FRACTION)
-        self.slews = SlewReferences(model, bounds, payloads, scales.slew, equilibrium=not scales.named)
+        bounds = bounds.time_optimal(model) if timing == TIME_OPTIMAL else bounds
+        self.slews = SlewReferences(model, bounds, payloads, scales.slew, not scales.named, timing)
         tight = weights._replace(tip=HOLDING_FACTOR * weights.tip)
         nodes = payloads if scales.named else spread(payloads)
         self._gains = [

@@ -48,7 +48,7 @@ def test_a_mapping_gives_arguments_in_place_of_what_is_usual():
     assert (own.stiffness.tolist(), own.damping.tolist()) == ([2.0], [0.1])
     weights = make_base({"kind": "lqr", "weights": WEIGHTS}, plant()).weights
     assert weights == CostWeights(**WEIGHTS) != make_base("lqr", plant()).weights
-    assert make_base({"kind": "lqr-tracking", "timing_law": "trapezoid"}, plant()).timing_law == "trapezoid"
+    assert make_base({"kind": "lqr-tracking", "timing": "trapezoid"}, plant()).timing == "trapezoid"
 
 
 def test_the_design_follows_from_the_arm_and_is_an_argument():
@@ -90,10 +90,10 @@ def test_only_under_gravity_a_pd_holds_the_weight():
         ({"kind": "pid"}, f"base.kind: 'pid' is not allowed; give one of {', '.join(BASES)}"),
         ({"weights": WEIGHTS}, "base: {'weights': {'tip': 0.1, 'tip_speed': 0.5, 'motor': 0.2}} is not allowed; give"),
         ({"kind": "pd", "weights": WEIGHTS}, "base: "),
-        ({"kind": "lqr", "timing_law": "trapezoid"}, "base: "),
+        ({"kind": "lqr", "timing": "trapezoid"}, "base: "),
         (
-            {"kind": "lqr-tracking", "timing_law": "bang-bang"},
-            "timing_law: 'bang-bang' is not allowed; give one of minimum-jerk",
+            {"kind": "lqr-tracking", "timing": "bang-bang"},
+            "timing: 'bang-bang' is not allowed; give one of time-optimal, quintic",
         ),
         (
             {"kind": "lqr", "weights": {"tip": 0.1}},

@@ -16,7 +16,7 @@ from flexman_gym.envs.sensors import SENSORS
 from flexman_gym.model.state_space import LinearModel, discretize
 from flexman_gym.toolbox.controllers.cost_weights import CostWeights
 from flexman_gym.toolbox.controllers.lqr import FEEDFORWARD_FRACTION, LQR, TrackingLQR
-from flexman_gym.toolbox.controllers.references.trajectories import TIMING_LAWS, plan_path, plan_slew
+from flexman_gym.toolbox.controllers.references.trajectories import TIMING_NAMES, TIMINGS, plan_path, plan_slew
 
 from oracles.assertions import refusal
 from oracles.chains import QUICK, samples
@@ -202,7 +202,7 @@ def test_a_new_episode_of_one_arm_changes_nothing_for_the_others(kind):
 
 def bounds_of(controller):
     """The bounds of the slews of a tracking LQR."""
-    return controller.scales.bounds(controller.limits, FEEDFORWARD_FRACTION)
+    return controller.scales.bounds(controller.limits, FEEDFORWARD_FRACTION).time_optimal(controller.model)
 
 
 def followed_gains(controller, start, goal):
@@ -211,7 +211,7 @@ def followed_gains(controller, start, goal):
     They are what the torques of arms that are off the plan in one number each differ by.
     """
     model, size = controller.model, 2 * controller.model.n_dof
-    slew = plan_slew(model, start, goal, bounds_of(controller), controller.period)
+    slew = plan_slew(model, start, goal, bounds_of(controller), controller.period, controller.timing)
     off = np.vstack([np.zeros(size), np.eye(size)])
     goals = np.repeat(goal[None], size + 1, 0)
     controller.reset(np.arange(size + 1), EpisodeInfo(np.repeat(start[None], size + 1, 0), goals, PERIOD), size + 1)
@@ -260,7 +260,7 @@ def test_along_a_path_gains_and_torques_are_those_of_the_moment():
     """A path that turns steadily: half way on, the gain is that of half of the turn and the torque that of a plan."""
     controller = designed(TrackingLQR)
     model, periods = controller.model, 48  # a design at every other period
-    way = TIMING_LAWS["minimum-jerk"].at(np.linspace(0.0, 1.0, periods + 1))[0]
+    way = TIMINGS["quintic"].at(np.linspace(0.0, 1.0, periods + 1))[0]
     path, one = way[:, None] * [0.4, -0.8], np.array([0])
     controller.reset(one, EpisodeInfo(path[None, 0], path[None, 0], PERIOD, lambda: path[None]), 1)
     slew = plan_path(model, path, controller.period)
@@ -335,15 +335,15 @@ def test_weights_are_parts_of_the_reach():
     assert np.abs(second.gain(posture) - gain).max() <= 1e-9 * np.abs(gain).max()
 
 
-@pytest.mark.parametrize("law", TIMING_LAWS)
+@pytest.mark.parametrize("law", TIMING_NAMES)
 def test_a_slew_has_the_law_that_is_asked_for(law):
     plain = designed(TrackingLQR)
-    controller = TrackingLQR(plain.model, plain.limits, PERIOD, timing_law=law)
+    controller = TrackingLQR(plain.model, plain.limits, PERIOD, timing=law)
     starts, goals = postures(controller, 1)
     controller.reset(np.array([0]), EpisodeInfo(starts, goals, PERIOD), 1)
     slew = plan_slew(controller.model, starts[0], goals[0], bounds_of(controller), PERIOD, law)
     assert np.array_equal(controller._schedules[0].states, slew.states)
-    assert (plain.timing_law == law) == (law == "minimum-jerk")
+    assert (plain.timing == law) == (law == "time-optimal")
 
 
 def test_bad_arguments_are_refused_in_one_line():
@@ -351,7 +351,7 @@ def test_bad_arguments_are_refused_in_one_line():
     assert refusal(LQR, "arm", 1.0, 0.02) == "model: 'arm' is not allowed; give a Model, from build_model"
     assert refusal(LQR, model, -1.0, 0.02).startswith("torque_limit: -1.0 is not allowed; give a finite number > 0")
     assert refusal(TrackingLQR, model, (1.0, 2.0), 0.02).startswith("torque_limit: (1.0, 2.0) is not allowed; give 1")
-    assert refusal(TrackingLQR, model, 1.0, 0.02, None, "s").startswith("timing_law: 's' is not allowed; give one of m")
+    assert refusal(TrackingLQR, model, 1.0, 0.02, None, "s").startswith("timing: 's' is not allowed; give one of t")
     assert refusal(LQR, model, 1.0, 0).startswith("period: 0 is not allowed; give a finite number > 0 (s)")
 
 

@@ -8,10 +8,10 @@ import pytest
 import flexman_gym as fm
 from flexman_gym.simulation.physical_parameters import varied_model
 from flexman_gym.toolbox.controllers.references.adaptive_references import PathReferences
-from flexman_gym.toolbox.controllers.references.trajectories import TIMING_LAWS, plan_path
+from flexman_gym.toolbox.controllers.references.trajectories import TIMINGS, plan_path
 
 PERIOD, PAYLOADS, T = 0.01, (0.0, 0.1, 0.2), 80
-PLACES = TIMING_LAWS["minimum-jerk"].at(np.linspace(0.0, 1.0, T + 1))[0]
+PLACES = TIMINGS["quintic"].at(np.linspace(0.0, 1.0, T + 1))[0]
 PATHS = PLACES[:, None] * np.array([[[0.4, -0.8]], [[-0.3, 0.5]]])
 
 

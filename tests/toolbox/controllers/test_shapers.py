@@ -17,7 +17,7 @@ from flexman_gym.toolbox.controllers.input_shaping.shapers import (
     design_shaper,
     shaper_residual,
 )
-from flexman_gym.toolbox.controllers.references.trajectories import TIMING_LAWS
+from flexman_gym.toolbox.controllers.references.trajectories import TIMINGS
 
 from oracles.assertions import refusal
 
@@ -130,7 +130,7 @@ def test_an_arm_rings_after_a_shaped_command_as_the_closed_form_says():
     frequency, ratio, _ = excited_modes(model, [0.0])[0]
     period, way = 0.002, 0.02
     count = round(0.6 / frequency / period)
-    base = way * TIMING_LAWS["minimum-jerk"].at(np.arange(count + 1) / count)[0]
+    base = way * TIMINGS["quintic"].at(np.arange(count + 1) / count)[0]
 
     def swing(parts):
         command = np.convolve(np.concatenate([base, np.full(len(parts) - 1, way)]), parts)[: len(base) + len(parts) - 1]

@@ -1,4 +1,4 @@
-"""Reference trajectories: timing laws, time-optimal slews and paths."""
+"""Reference trajectories: timings, time-optimal slews and paths."""
 
 from dataclasses import replace
 
@@ -14,9 +14,9 @@ from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.model.dynamics import inertial_forces, stiffness_matrix
 from flexman_gym.toolbox.controllers.arm_scales import SlewBounds
 from flexman_gym.toolbox.controllers.references.trajectories import (
-    TIMING_LAWS,
+    TIMINGS,
     DeflectionCompensation,
-    constant_jerk_law,
+    constant_jerk_timing,
     plan_path,
     plan_slew,
 )
@@ -31,14 +31,14 @@ DENSE = 4001
 
 
 def test_the_motion_starts_and_ends_at_rest():
-    position, speed, acceleration = TIMING_LAWS["minimum-jerk"].at(np.array([-1.0, 0.0, 1.0, 2.0]))
+    position, speed, acceleration = TIMINGS["quintic"].at(np.array([-1.0, 0.0, 1.0, 2.0]))
     assert position.tolist() == [0.0, 0.0, 1.0, 1.0]
     assert speed.tolist() == acceleration.tolist() == [0.0] * 4
 
 
 def test_its_peaks_are_the_published_ones():
     """Speed 15 / 8 half way; acceleration 10 / sqrt(3) at (3 - sqrt(3)) / 6 of the way (Flash and Hogan 1985)."""
-    result = TIMING_LAWS["minimum-jerk"].at(np.linspace(0.0, 1.0, 100_001))
+    result = TIMINGS["quintic"].at(np.linspace(0.0, 1.0, 100_001))
     assert result[1].max() == pytest.approx(1.875, rel=1e-12) and result[1].argmax() == 50_000
     assert np.abs(result[2]).max() == pytest.approx(5.7735, rel=1e-5)
     assert result[2].argmax() == pytest.approx(1e5 * (3 - np.sqrt(3)) / 6, abs=1)
@@ -46,18 +46,18 @@ def test_its_peaks_are_the_published_ones():
 
 @given(parts)
 def test_it_is_symmetric_and_each_is_the_slope_of_the_one_before(part):
-    position, speed, acceleration = TIMING_LAWS["minimum-jerk"].at(np.array([part, 1 - part]))
+    position, speed, acceleration = TIMINGS["quintic"].at(np.array([part, 1 - part]))
     assert position.sum() == pytest.approx(1.0) and speed[0] == pytest.approx(speed[1], abs=1e-12)
     assert acceleration[0] == pytest.approx(-acceleration[1], abs=1e-12)
     h = 1e-5
     before, after = (
-        TIMING_LAWS["minimum-jerk"].at(np.clip([part - h], 0, 1)),
-        TIMING_LAWS["minimum-jerk"].at(np.clip([part + h], 0, 1)),
+        TIMINGS["quintic"].at(np.clip([part - h], 0, 1)),
+        TIMINGS["quintic"].at(np.clip([part + h], 0, 1)),
     )
     width = min(part + h, 1) - max(part - h, 0)
     for slope in (0, 1):
         result = (after[slope] - before[slope]) / width
-        assert result == pytest.approx(TIMING_LAWS["minimum-jerk"].at(np.array([part]))[slope + 1], abs=1e-3)
+        assert result == pytest.approx(TIMINGS["quintic"].at(np.array([part]))[slope + 1], abs=1e-3)
 
 
 def shortest(way, speed, acceleration, jerk):
@@ -79,7 +79,7 @@ def shortest(way, speed, acceleration, jerk):
 @given(limits)
 def test_a_double_s_keeps_its_limits_and_takes_the_time_of_its_closed_form(given):
     way, speed, acceleration, jerk = given
-    motion = constant_jerk_law(*given)
+    motion = constant_jerk_timing(*given)
     times = np.linspace(0.0, motion.duration, DENSE)
     place, rate, change = motion.at(times)
     assert motion.duration == pytest.approx(shortest(*given), rel=1e-12)
@@ -95,7 +95,7 @@ def test_a_double_s_keeps_its_limits_and_takes_the_time_of_its_closed_form(given
 @given(limits)
 def test_a_trapezoid_keeps_its_limits_and_takes_the_time_of_its_closed_form(given):
     way, speed, acceleration, _ = given
-    motion = constant_jerk_law(way, speed, acceleration)
+    motion = constant_jerk_timing(way, speed, acceleration)
     times = np.linspace(0.0, motion.duration, DENSE)
     place, rate, change = motion.at(times)
     flat = way >= speed**2 / acceleration
@@ -112,7 +112,7 @@ def test_a_trapezoid_keeps_its_limits_and_takes_the_time_of_its_closed_form(give
 @given(limits)
 def test_speeds_and_accelerations_are_slopes_and_motions_rest_before_and_after(given):
     way, _, acceleration, jerk = given
-    for motion, bend in ((constant_jerk_law(*given), jerk), (constant_jerk_law(*given[:3]), np.inf)):
+    for motion, bend in ((constant_jerk_timing(*given), jerk), (constant_jerk_timing(*given[:3]), np.inf)):
         h = 1e-5 * motion.duration
         times = np.linspace(2.0 * h, motion.duration - 2.0 * h, 999)
         before, now, after = (motion.at(times + step) for step in (-h, 0.0, h))
@@ -126,7 +126,7 @@ def test_speeds_and_accelerations_are_slopes_and_motions_rest_before_and_after(g
 
 
 def test_a_double_s_of_any_jerk_is_a_trapezoid():
-    sharp, straight = constant_jerk_law(2.0, 0.7, 1.3, 1e9), constant_jerk_law(2.0, 0.7, 1.3)
+    sharp, straight = constant_jerk_timing(2.0, 0.7, 1.3, 1e9), constant_jerk_timing(2.0, 0.7, 1.3)
     times = np.linspace(0.0, straight.duration, 100)
     assert sharp.duration == pytest.approx(straight.duration, abs=1e-8)
     assert sharp.at(times)[0] == pytest.approx(straight.at(times)[0], abs=1e-8)
@@ -134,7 +134,7 @@ def test_a_double_s_of_any_jerk_is_a_trapezoid():
 
 @pytest.mark.parametrize(("name", "phases", "peak"), [("trapezoid", 3, 4.5), ("double-s", 7, 6.125)])
 def test_the_phases_of_the_laws_of_slews_last_as_long_as_each_other(name, phases, peak):
-    law = TIMING_LAWS[name]
+    law = TIMINGS[name]
     assert law.begins == pytest.approx(np.arange(phases) / phases) and law.duration == pytest.approx(1.0)
     assert law.at(np.ones(1))[0] == pytest.approx(1.0) and law.at(np.linspace(0, 1, 421))[2].max() == pytest.approx(
         peak
@@ -142,10 +142,10 @@ def test_the_phases_of_the_laws_of_slews_last_as_long_as_each_other(name, phases
 
 
 def test_limits_that_are_none_are_refused_in_one_line():
-    assert refusal(constant_jerk_law, 0.0, 1.0, 1.0).startswith("distance: 0.0 is not allowed; give a")
-    assert refusal(constant_jerk_law, 1.0, -1.0, 1.0).startswith("speed: -1.0 is not allowed; give a")
-    assert refusal(constant_jerk_law, 1.0, 1.0, np.inf, 1.0).startswith("acceleration: inf is not allowed; give a")
-    assert refusal(constant_jerk_law, 1.0, 1.0, 1.0, np.nan).startswith("jerk: nan is not allowed; give a")
+    assert refusal(constant_jerk_timing, 0.0, 1.0, 1.0).startswith("distance: 0.0 is not allowed; give a")
+    assert refusal(constant_jerk_timing, 1.0, -1.0, 1.0).startswith("speed: -1.0 is not allowed; give a")
+    assert refusal(constant_jerk_timing, 1.0, 1.0, np.inf, 1.0).startswith("acceleration: inf is not allowed; give a")
+    assert refusal(constant_jerk_timing, 1.0, 1.0, 1.0, np.nan).startswith("jerk: nan is not allowed; give a")
 
 
 PERIOD, SHARE = 0.02, 0.95
@@ -158,7 +158,7 @@ def rigid():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("law", "peak"), [("minimum-jerk", 5.76), ("trapezoid", 4.5), ("double-s", 6.125)])
+@pytest.mark.parametrize(("law", "peak"), [("quintic", 5.76), ("trapezoid", 4.5), ("double-s", 6.125)])
 @settings(QUICK, max_examples=20)
 @given(way=st.floats(0.1, 3.0), limit=st.floats(0.5, 50.0))
 def test_the_slew_of_a_rigid_link_takes_the_time_of_its_closed_form(law, peak, way, limit):
@@ -170,13 +170,13 @@ def test_the_slew_of_a_rigid_link_takes_the_time_of_its_closed_form(law, peak, w
     assert len(slew.torques) == max(1, np.ceil(shortest / PERIOD - 1e-6))
     duration = PERIOD * len(slew.torques)
     middles = (np.arange(len(slew.torques)) + 0.5) / len(slew.torques)
-    expected = inertia * way / duration**2 * TIMING_LAWS[law].at(middles)[2]
+    expected = inertia * way / duration**2 * TIMINGS[law].at(middles)[2]
     assert slew.torques[:, 0] == pytest.approx(expected, rel=1e-9, abs=1e-9)
-    places = way * TIMING_LAWS[law].at(np.linspace(0, 1, len(slew.states)))[0]
+    places = way * TIMINGS[law].at(np.linspace(0, 1, len(slew.states)))[0]
     assert slew.states[:, 0] == pytest.approx(places, abs=1e-12)
 
 
-@pytest.mark.parametrize(("law", "peak"), [("minimum-jerk", 1.875), ("trapezoid", 1.5), ("double-s", 1.75)])
+@pytest.mark.parametrize(("law", "peak"), [("quintic", 1.875), ("trapezoid", 1.5), ("double-s", 1.75)])
 @pytest.mark.parametrize("way", [0.2, 2.0])
 def test_a_slew_bounded_by_rates_takes_the_time_of_its_closed_form(law, peak, way):
     """Strong motors: peak speed of the law times way over the rate; the rates of the plan reach the bound."""
@@ -226,7 +226,7 @@ def peak_share(path, duration, limits):
     return np.abs(torques / limits).max()
 
 
-@pytest.mark.parametrize("law", TIMING_LAWS)
+@pytest.mark.parametrize("law", TIMINGS)
 @pytest.mark.parametrize(
     "name", sorted({*NAMED_ENVIRONMENTS} - {"FlexCrane-v0", "FlexGantry-v0"})
 )  # motors at all joints
@@ -266,7 +266,7 @@ def test_links_on_the_way_are_bent_as_far_as_inertia_and_weight_ask(name):
     n, elastic = model.n_joints, slice(model.n_joints + model.n_motors, model.n_dof)
     way = (fm.rest_state(model, goal) - fm.rest_state(model, start))[:n]
     for part in np.linspace(0.0, 1.0, 9):
-        _, speed, change = (each[0] for each in TIMING_LAWS["minimum-jerk"].at(np.array([part])))
+        _, speed, change = (each[0] for each in TIMINGS["quintic"].at(np.array([part])))
         rates, changes = np.zeros((2, model.n_dof))
         rates[:n] = rates[model.motor_columns] = speed / duration * way
         changes[:n] = changes[model.motor_columns] = change / duration**2 * way
@@ -285,7 +285,7 @@ def test_a_slow_slew_is_a_sequence_of_places_of_rest():
     first, last = (fm.rest_state(model, posture)[:2] for posture in (start, goal))
     for part in (0.0, 0.3, 1.0):
         x, torques = (each[0] for each in path.at(np.array([part]), 1e4))
-        joints = first + TIMING_LAWS["minimum-jerk"].at(np.array([part]))[0] * (last - first)
+        joints = first + TIMINGS["quintic"].at(np.array([part]))[0] * (last - first)
         rest = fm.rest_state(model, x[model.motor_columns])
         assert x[:2] == pytest.approx(joints) and x == pytest.approx(rest[: model.n_dof], abs=1e-4)
         assert torques == pytest.approx(fm.holding_torques(model, x[model.motor_columns]), abs=0.05)
@@ -307,7 +307,7 @@ def test_a_goal_whose_weight_is_too_much_is_refused_in_one_line():
 def test_other_laws_are_refused_in_one_line():
     model, arguments = rigid(), (SlewBounds(np.ones(1), SHARE), PERIOD)
     line = refusal(plan_slew, model, np.zeros(1), np.ones(1), *arguments, "cubic")
-    assert line == "timing_law: 'cubic' is not allowed; give one of minimum-jerk, trapezoid, double-s"
+    assert line == "timing: 'cubic' is not allowed; give one of time-optimal, quintic, trapezoid, double-s"
 
 
 @pytest.mark.parametrize("name", ["planar_2r", "paper_rrr"])
@@ -317,7 +317,7 @@ def test_a_rigid_arm_is_fed_what_inverse_dynamics_asks(name):
     arm = replace(arm, gravity=(0.3, -0.2, -9.81), payload=fm.Payload(3.0))
     model = fm.build_model(arm, flexible_links=False, flexible_joints=False)
     postures, limits = np.random.default_rng(7).uniform(-0.8, 0.8, (2, model.n_joints)), np.full(model.n_joints, 8000.0)
-    plans = [plan_slew(model, *postures, SlewBounds(limits, SHARE), PERIOD, law) for law in TIMING_LAWS]
+    plans = [plan_slew(model, *postures, SlewBounds(limits, SHARE), PERIOD, law) for law in TIMINGS]
     for plan in plans:
         count = len(plan.torques)
         motion = plan.path.motion((np.arange(count) + 0.5) / count)
@@ -330,11 +330,11 @@ def test_the_torques_of_a_path_are_those_of_the_middle_of_each_period():
     """A rigid link on a minimum-jerk path: inertia times the acceleration then, as splines have it."""
     model, periods, duration = rigid(), 200, 2.0
     period = duration / periods
-    path = TIMING_LAWS["minimum-jerk"].at(np.linspace(0.0, 1.0, periods + 1))[0][:, None]
+    path = TIMINGS["quintic"].at(np.linspace(0.0, 1.0, periods + 1))[0][:, None]
     slew = plan_path(model, path, period)
     inertia = fm.mass_matrix(model, np.zeros(2))[0, 0]
     middles = (np.arange(periods) + 0.5) / periods
-    expected = inertia / duration**2 * TIMING_LAWS["minimum-jerk"].at(middles)[2]
+    expected = inertia / duration**2 * TIMINGS["quintic"].at(middles)[2]
     assert np.abs(slew.torques[:, 0] - expected)[20:-20].max() < 2e-3 * np.abs(expected).max()
 
 

@@ -24,7 +24,7 @@ from flexman_gym.toolbox.controllers.input_shaping.shapers import (
     design_shaper,
 )
 from flexman_gym.toolbox.controllers.lqr import LQR
-from flexman_gym.toolbox.controllers.references.trajectories import TIMING_LAWS
+from flexman_gym.toolbox.controllers.references.trajectories import QUINTIC, TIMINGS
 
 MAX_MODES = 2  # largest number of shaped modes
 REST_PERIODS = 40  # control periods at the goal at the end of a command, so that splines through it end at rest
@@ -205,7 +205,7 @@ class InputShapedController:
         if path is None:
             count = sample_count("control_period", period, self.duration) + 1
             times = period * np.arange(count, dtype=np.float64)
-            progress = TIMING_LAWS["minimum-jerk"].at(times / self.duration)[0] if self.duration else np.ones(count)
+            progress = TIMINGS[QUINTIC].at(times / self.duration)[0] if self.duration else np.ones(count)
             plain, before = start + progress[:, None] * (goal - start), start
             postures = start + np.array(self.places)[:, None] * (goal - start)
         else:

@@ -6,14 +6,23 @@ from typing import NamedTuple
 
 import numpy as np
 
-from flexman_gym.common.arrays import Array, IntArray, pad_rows
+from flexman_gym.common.arrays import Array, BoolArray, IntArray, pad_rows
+from flexman_gym.common.checks import one_of
 from flexman_gym.model.friction import friction_torques
 from flexman_gym.model.model import Model
 from flexman_gym.model.statics import holding_torques, rest_state, static_torques
 from flexman_gym.simulation.physical_parameters import varied_model
 from flexman_gym.toolbox.controllers.arm_scales import SlewBounds
 from flexman_gym.toolbox.controllers.friction_compensation import estimated_friction
+from flexman_gym.toolbox.controllers.references.path_parametrisation import (
+    PathBounds,
+    TimeOptimalMotions,
+    average_windows,
+    is_time_optimal,
+)
 from flexman_gym.toolbox.controllers.references.trajectories import (
+    QUINTIC,
+    TIME_OPTIMAL,
     DeflectionCompensation,
     QuasiStaticDeflection,
     evaluate_polynomials,
@@ -69,6 +78,7 @@ class SlewReferences:
         slew: duration of a slew of the arm, s, to which the durations that are tried are in proportion.
         equilibrium: True if `end_in_equilibrium` chooses the ends of the paths; False for a linear approximation by the
             estimated compliance in each `adapt`, whose error grows with the square of the deflection.
+        timing: "quintic", or "time-optimal" for the motions of `TimeOptimalMotions` where `is_time_optimal` holds.
 
     Attributes:
         durations: (k,) durations that are tried, s.
@@ -76,7 +86,7 @@ class SlewReferences:
         pace_rate: (b,) time derivative of the time scaling, 1/s.
     """
 
-    state_fields = (
+    state_fields: tuple[str, ...] = (
         "start", "displacement", "shift", "coefficients", "start_time", "duration", "_coordinates", "_torques",
         "_compliance", "_friction", "_adapted_coordinates", "_adapted_torques", "time_scaling", "pace_rate",
         "_shortest", "_adapted_shortest", "_begin_time", "_end_coordinates", "_end_torques",
@@ -89,7 +99,12 @@ class SlewReferences:
         payloads: Sequence[float],
         slew: float = USUAL_SLEW,
         equilibrium: bool = False,
+        timing: str = QUINTIC,
     ) -> None:
+        optimal = one_of("timing", timing, (TIME_OPTIMAL, QUINTIC)) == TIME_OPTIMAL
+        self._motions = TimeOptimalMotions() if optimal else None
+        if optimal:
+            self.state_fields = (*self.state_fields, "_motions")
         self.model, self._bounds, self.durations = model, bounds, candidate_durations(slew)
         self._equilibrium = equilibrium
         self._payloads = np.array(payloads, dtype=float)
@@ -112,8 +127,10 @@ class SlewReferences:
 
     def allocate(self, count: int) -> None:
         """Allocate memory for `count` arms."""
-        for name in self.state_fields:
+        for name in SlewReferences.state_fields:
             setattr(self, name, pad_rows(getattr(self, name), count))
+        if self._motions:
+            self._motions.allocate(count)
 
     def begin(self, arms: IntArray, start: Array, goal: Array) -> None:
         """Start paths of the arms (r,) between motor angles (r, n) rad; `adapt` and `plan_timing` complete them."""
@@ -161,13 +178,17 @@ class SlewReferences:
         self._friction[arms] = estimated_friction(self.model, parameters, arms)
         for adapted, table in ((self._adapted_coordinates, self._coordinates), (self._adapted_torques, self._torques)):
             adapted[arms] = (weights[:, :, None, None, None] * table[arms]).sum(axis=1)
-        softest = np.sqrt(self._compliance[arms].max(axis=1))  # period / period of the nominal arm, at most
-        self._adapted_shortest[arms] = softest * (weights * self._shortest[arms]).sum(axis=1)
+        self._adapted_shortest[arms] = self._slowness(arms) * (weights * self._shortest[arms]).sum(axis=1)
         if self._equilibrium:
             self._adapted_coordinates[arms, :, REST] += PATH_POINTS[:, None] * self._end_coordinates[arms, None]
             self._adapted_torques[arms, :, REST] += PATH_POINTS[:, None] * self._end_torques[arms, None]
         elif self.model.constants.gravity.any():
             self._correct_goal(arms)
+
+    def _slowness(self, arms: IntArray) -> Array:
+        """Return the largest ratios (r,) of periods of modes to those of the nominal arm, for arms (r,)."""
+        result: Array = np.sqrt(self._compliance[arms].max(axis=1))
+        return result
 
     def end_in_equilibrium(self, arms: IntArray, parameters: Mapping[str, Array]) -> None:
         """Move the ends of the paths of the arms (r,) to the static equilibrium of arms with the estimated parameters.
@@ -223,6 +244,43 @@ class SlewReferences:
         """
         if not len(arms):
             return
+        times = np.asarray(times, dtype=float)
+        if first:
+            self._begin_time[arms] = times
+        if self._motions is None:
+            self._plan_quintics(arms, times, first)
+        elif first:
+            self._choose_timing(arms, times, self._motions)
+        else:
+            smoothed = self._motions.windows[arms] > 0.0
+            self._plan_quintics(arms[~smoothed], times[~smoothed], first)
+            arms = arms[smoothed]
+            self._motions.replan(arms, times[smoothed] - self.start_time[arms], self._path_bounds(arms))
+            self.duration[arms] = self._motions.durations[arms]
+
+    def _choose_timing(self, arms: IntArray, times: Array, motions: TimeOptimalMotions) -> None:
+        """Plan the slews of arms (r,) at rest at times (r,), s, time-optimal or quintic, see `is_time_optimal`."""
+        motions.windows[arms] = 0.0
+        arms = arms[self._plan_quintics(arms, times, True)]
+        quintics, modes = self.duration[arms], self._bounds.free * self._slowness(arms)
+        motions.start(arms, average_windows(modes, quintics), self._path_bounds(arms))
+        faster = is_time_optimal(motions.durations[arms], modes, quintics, self._adapted_shortest[arms])
+        motions.windows[arms[~faster]] = 0.0
+        chosen = arms[motions.windows[arms] > 0.0]
+        self.duration[chosen] = motions.durations[chosen]
+
+    def _path_bounds(self, arms: IntArray) -> PathBounds:
+        """Return the bounds of the motions of arms (r,) along their paths."""
+        limits = np.broadcast_to(self._bounds.fraction * np.asarray(self._bounds.limits), self.displacement[arms].shape)
+        return PathBounds(
+            self.model, self._adapted_torques[arms], limits, self.displacement[arms], self._bounds.rates,
+            self._friction[arms],
+        )  # fmt: skip
+
+    def _plan_quintics(self, arms: IntArray, times: Array, first: bool) -> BoolArray:
+        """Plan quintic timings as `plan_timing`; return flags (r,) of slews whose durations are set by the torques."""
+        if not len(arms):
+            return np.zeros(0, dtype=bool)
         initial = (np.zeros((3, len(arms))) if first else np.array(self.at(times, arms)))[:, :, None]
         candidates = quintic_coefficients(initial[0], initial[1], initial[2], self.durations)
         checked = self.durations[:, None] * CHECKED_TIMES
@@ -233,16 +291,18 @@ class SlewReferences:
             torques += friction_torques(self.model, rates, self._friction[arms][:, None, None])
         ratios = (np.abs(torques) / self._bounds.limits).max(axis=(2, 3)) / self._bounds.fraction
         fastest = (np.abs(self.displacement[arms]) / self._bounds.rates).max(axis=1)  # s, at unit speed
-        ratios = np.maximum(ratios, fastest[:, None] * np.abs(speeds).max(axis=2))
-        if first:
-            self._begin_time[arms] = times
-        elapsed = np.asarray(times) - self._begin_time[arms]
+        rate_ratios = fastest[:, None] * np.abs(speeds).max(axis=2)
+        elapsed = times - self._begin_time[arms]
         late = elapsed[:, None] + self.durations >= self._adapted_shortest[arms, None]
-        chosen = np.where(late, ratios, np.inf)
+        possible = late & (rate_ratios <= 1.0)
+        chosen = np.where(late, np.maximum(ratios, rate_ratios), np.inf)
         feasible = chosen <= 1.0
         chosen = np.where(feasible.any(axis=1), feasible.argmax(axis=1), chosen.argmin(axis=1))
-        self.coefficients[arms] = candidates[np.arange(len(arms)), chosen]
+        rows = np.arange(len(arms))
+        self.coefficients[arms] = candidates[rows, chosen]
         self.start_time[arms], self.duration[arms] = times, self.durations[chosen]
+        result: BoolArray = feasible.any(axis=1) & (chosen > 0) & possible[rows, chosen - 1]
+        return result
 
     def _interpolate(self, table: Array, arms: IntArray, progress: Array, accelerations: Array, speeds: Array) -> Array:
         """Return rest + a s'' + b s'^2, (r, ..., m), at path parameters (r, ...).
@@ -261,6 +321,18 @@ class SlewReferences:
 
     def at(self, times: Array, arms: IntArray) -> tuple[Array, Array, Array]:
         """Return path parameters, speeds (1/s) and accelerations (1/s^2) of the arms (r,) at times (r, ...) s."""
+        if self._motions is None or not (smoothed := self._motions.windows[arms] > 0.0).any():
+            return self._quintics(times, arms)
+        result = self._quintics(times, arms)
+        chosen = arms[smoothed]
+        aligned = _aligned(chosen, times)
+        motions = self._motions.at(times[smoothed] - self.start_time[aligned], aligned)
+        for values, motion in zip(result, motions, strict=True):
+            values[smoothed] = motion
+        return result
+
+    def _quintics(self, times: Array, arms: IntArray) -> tuple[Array, Array, Array]:
+        """Return path parameters, speeds and accelerations of quintics, see `at`."""
         arms = _aligned(arms, times)
         elapsed, coefficients, duration = times - self.start_time[arms], self.coefficients[arms], self.duration[arms]
         # a slew with replanned timing was moving before its start time; central differences need these times too

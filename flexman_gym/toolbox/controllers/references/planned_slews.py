@@ -25,6 +25,7 @@ from flexman_gym.toolbox.controllers.references.single_shooting import (
     interpolate_torques,
 )
 from flexman_gym.toolbox.controllers.references.slew_regression import SlewRegression
+from flexman_gym.toolbox.controllers.references.trajectories import QUINTIC
 
 LEARNED_TABLE = Path(__file__).parent / "tables" / "FlexRRR-v0-learned.npz"
 # Times of the computer, which do not scale with the arm: a Jacobian with its steps, for the arm of FlexRRR-v0
@@ -61,7 +62,7 @@ class PlannedLQR(TrackingLQR):
         thinking: float = THINKING,
         **given: Any,
     ) -> None:
-        super().__init__(plant.model, plant.torque_scales, plant.period, **given)
+        super().__init__(plant.model, plant.torque_scales, plant.period, timing=QUINTIC, **given)
         self._regression, self.thinking = regression, thinking
         self._budget = round(self.thinking / JACOBIAN_TIME)
         self._models, self._rate_limit = InternalModels(plant), plant.rate_limit

@@ -1,4 +1,4 @@
-"""Reference trajectories: timing laws, paths, quasi-static deflection, and time-optimal motions."""
+"""Reference trajectories: timings, paths, quasi-static deflection, and time-optimal motions."""
 
 import math
 from collections.abc import Callable
@@ -12,15 +12,21 @@ from flexman_gym.common.errors import value_error
 from flexman_gym.kernels import outputs
 from flexman_gym.kernels.layout import OUTPUTS, TIP, TIP_VELOCITY, make_work
 from flexman_gym.model.dynamics import elastic_forces, inertial_forces, stiffness_matrix
-from flexman_gym.model.friction import friction_torques
+from flexman_gym.model.friction import friction_coefficients, friction_torques
 from flexman_gym.model.hanging import tangent_matrices
 from flexman_gym.model.model import Model
 from flexman_gym.model.statics import rest_state
 from flexman_gym.toolbox.controllers.arm_scales import SlewBounds
+from flexman_gym.toolbox.controllers.references.path_parametrisation import (
+    PathBounds,
+    TimeOptimalMotions,
+    average_windows,
+    is_time_optimal,
+)
 
 
-class _TimingLaw(NamedTuple):
-    """Rest-to-rest timing law: the path parameter is a polynomial of time in each of k phases.
+class _Timing(NamedTuple):
+    """Rest-to-rest timing: the path parameter is a polynomial of time in each of k phases.
 
     Attributes:
         begins: (k,) start times of the phases, s.
@@ -67,7 +73,7 @@ def evaluate_polynomials(coefficients: Array, times: Array) -> tuple[Array, Arra
     return progress, speed, 2.0 * c + times * (6.0 * d + times * (12.0 * e + times * 20.0 * f))
 
 
-def constant_jerk_law(distance: float, speed: float, acceleration: float, jerk: float | None = None) -> _TimingLaw:
+def constant_jerk_timing(distance: float, speed: float, acceleration: float, jerk: float | None = None) -> _Timing:
     """Plan the fastest motion from rest to rest over a distance, within limits of its derivatives.
 
     With a jerk limit the motion is the double-S law of up to seven phases of constant jerk; without a jerk limit it is
@@ -101,14 +107,17 @@ def constant_jerk_law(distance: float, speed: float, acceleration: float, jerk: 
     coefficients[:, 2], coefficients[:, 3] = first / 2.0, (last - first) / (6.0 * durations)
     for before, after, time in zip(coefficients[:-1], coefficients[1:], durations[:-1], strict=True):
         after[0], after[1], _ = evaluate_polynomials(before, time)
-    return _TimingLaw(begins, coefficients, float(durations.sum()))
+    return _Timing(begins, coefficients, float(durations.sum()))
 
 
-TIMING_LAWS = {  # name -> timing law from 0 to 1 with duration 1; the phases have equal length
-    "minimum-jerk": _TimingLaw(np.zeros(1), quintic_coefficients(*np.array([[0.0], [0.0], [0.0], [1.0]])), 1.0),
-    "trapezoid": constant_jerk_law(1.0, 1.5, 4.5),
-    "double-s": constant_jerk_law(1.0, 1.75, 6.125, 42.875),
+TIME_OPTIMAL, QUINTIC = "time-optimal", "quintic"  # names of timings
+TIMINGS = {  # name -> timing from 0 to 1 with duration 1; the phases have equal length
+    QUINTIC: _Timing(np.zeros(1), quintic_coefficients(*np.array([[0.0], [0.0], [0.0], [1.0]])), 1.0),
+    "trapezoid": constant_jerk_timing(1.0, 1.5, 4.5),
+    "double-s": constant_jerk_timing(1.0, 1.75, 6.125, 42.875),
 }
+TIMING_NAMES = (TIME_OPTIMAL, *TIMINGS)
+TABLE_POINTS = np.linspace(0.0, 1.0, 11)  # path parameters at which torques of a time-optimal slew are tabulated
 
 
 DEFLECTION_PASSES = 3  # fixed-point iterations of the deflection under the inertia of the deflected arm
@@ -221,24 +230,24 @@ class _ReferenceTrajectory(NamedTuple):
     path: _JointPath | None = None
 
 
-def _slew_path(model: Model, start: Array, goal: Array, timing_law: str = "minimum-jerk") -> _JointPath:
-    """Return the straight path between postures of the motors (n,) rad, with a timing law from `TIMING_LAWS`."""
-    ends, timing = rest_state(model, np.array([start, goal]))[:, : model.n_dof], TIMING_LAWS[timing_law]
+def _slew_path(model: Model, start: Array, goal: Array, timing: str = QUINTIC) -> _JointPath:
+    """Return the straight path between postures of the motors (n,) rad, with a timing from `TIMINGS`."""
+    ends, law = rest_state(model, np.array([start, goal]))[:, : model.n_dof], TIMINGS[timing]
     first, last = ends[:, : model.n_joints]
 
     def motion(fractions: Array) -> tuple[Array, Array, Array]:
-        progress, speed, acceleration = (each[:, None] for each in timing.at(fractions))
+        progress, speed, acceleration = (each[:, None] for each in law.at(fractions))
         return first + progress * (last - first), speed * (last - first), acceleration * (last - first)
 
-    jumps = timing.begins[1:]
+    jumps = law.begins[1:]
     points = np.sort(np.concatenate([np.linspace(0.0, 1.0, PATH_SAMPLES), jumps - JUMP_MARGIN, jumps]))
     return _JointPath(QuasiStaticDeflection(model), ends, motion, points)
 
 
 def plan_slew(
-    model: Model, start: Array, goal: Array, bounds: SlewBounds, period: float, timing_law: str = "minimum-jerk"
+    model: Model, start: Array, goal: Array, bounds: SlewBounds, period: float, timing: str = QUINTIC
 ) -> _ReferenceTrajectory:
-    """Plan the fastest slew with a timing law within bounds.
+    """Plan the fastest slew with a timing within bounds.
 
     Args:
         model: model of the arm.
@@ -246,24 +255,28 @@ def plan_slew(
         goal: (n,) final motor angles, rad.
         bounds: bounds of torques, rates and duration.
         period: control period, s.
-        timing_law: name in `TIMING_LAWS`.
+        timing: name in TIMING_NAMES; "time-optimal" stands for `TimeOptimalMotions` where `is_time_optimal` holds.
 
     Raises:
-        ValueError: for a goal at which holding torques alone exceed the fraction, for an unknown timing law, and for a
+        ValueError: for a goal at which holding torques alone exceed the fraction, for an unknown timing, and for a
             slew of more than MAX_PERIODS control periods.
     """
-    path = _slew_path(model, start, goal, one_of("timing_law", timing_law, TIMING_LAWS))
-    count = _time_optimal(path, bounds.fraction * np.asarray(bounds.limits), period)
+    optimal = one_of("timing", timing, TIMING_NAMES) == TIME_OPTIMAL
+    path = _slew_path(model, start, goal, QUINTIC if optimal else timing)
+    count = _least_periods(path, bounds.fraction * np.asarray(bounds.limits), period)
     if count is None:
         raise value_error(
             "goal", goal.tolist(), f"a posture with holding torques below {bounds.fraction:.0%} of the torque limits"
         )
     rates = np.abs(path.motion(path.check_points)[1]) / bounds.rates
     shortest = max(float(rates.max()), bounds.shortest(model, goal))
-    return _sample_path(path, max(count, math.ceil((1.0 - ROUNDING) * shortest / period)), period)
+    least = math.ceil((1.0 - ROUNDING) * shortest / period)
+    if optimal and count > least:
+        path, count = _fastest_path(path, goal, bounds, count, period)
+    return _sample_path(path, max(count, least), period)
 
 
-def _time_optimal(path: _JointPath, bounds: Array, period: float) -> int | None:
+def _least_periods(path: _JointPath, bounds: Array, period: float) -> int | None:
     """Return the least number of control periods with torques within bounds (n,) N m; None without solution.
 
     Torques are the holding and friction torques plus an inertial part proportional to 1 / T^2, so that the torques for
@@ -290,6 +303,44 @@ def _time_optimal(path: _JointPath, bounds: Array, period: float) -> int | None:
             return count
         else:
             count = int(max(needed, infeasible + 1))
+
+
+def _fastest_path(
+    path: _JointPath, goal: Array, bounds: SlewBounds, count: int, period: float
+) -> tuple[_JointPath, int]:
+    """Return a path with the timing of the fastest motion, and its number of control periods (s), where it is faster.
+
+    Args:
+        path: path with quintic timing.
+        goal: (n,) final motor angles, rad.
+        bounds: bounds of torques, rates and duration.
+        count: number of control periods of the quintic, set by the torques.
+        period: control period, s.
+    """
+    model, duration, motions = path.deflection.model, np.array([count * period]), TimeOptimalMotions()
+    (first, last), scale = path.ends[:, : model.n_joints], 1.0 / duration[0]
+    way, still, tables = last - first, np.zeros(model.n_joints), []
+    for angles in first + TABLE_POINTS[:, None] * (last - first):
+        motion = (angles, still, still), (angles, still, scale**2 * way), (angles, scale * way, still)
+        rest, accelerated, moved = (path.deflection.at(path.ends[0], each)[1] for each in motion)
+        tables.append([rest, (accelerated - rest) / scale**2, (moved - rest) / scale**2])
+    limits = bounds.fraction * np.asarray(bounds.limits, dtype=float)
+    friction, mode = friction_coefficients(model)[None], np.array([bounds.free])
+    arm = np.array([0])
+    motions.allocate(1)
+    motions.start(
+        arm, average_windows(mode, duration),
+        PathBounds(model, np.array(tables)[None], limits[None], way[None], bounds.rates, friction),
+    )  # fmt: skip
+    lasting = motions.durations
+    if not (motions.windows[0] and is_time_optimal(lasting, mode, duration, bounds.shortest(model, goal))):
+        return path, count
+
+    def timed(fractions: Array) -> tuple[Array, Array, Array]:
+        progress, speed, acceleration = (each[:, None] for each in motions.at(fractions * lasting, arm))
+        return first + progress * way, lasting * speed * way, lasting**2 * acceleration * way
+
+    return path._replace(motion=timed), math.ceil((1.0 - ROUNDING) * lasting[0] / period)
 
 
 def _sample_path(path: _JointPath, count: int, period: float) -> _ReferenceTrajectory:
