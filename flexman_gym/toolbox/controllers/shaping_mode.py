@@ -13,6 +13,7 @@ from flexman_gym.model.linearization import LinearMeasurements
 from flexman_gym.toolbox.controllers.observers.observer import Estimate
 from flexman_gym.toolbox.controllers.output_feedback import OutputFeedback
 from flexman_gym.toolbox.controllers.reference_shaping import ReferenceShaping, ShapingLimits
+from flexman_gym.toolbox.controllers.replanned_tracking import ReplannedTracking
 
 DEVIATION_SCALE = 1.0 / 30.0  # fraction of a range; deviation from the reference with an arcsinh of 0.88
 ANGLE_SCALE = 0.01  # rad; error of a motor angle with an arcsinh of 0.88
@@ -32,7 +33,7 @@ class ReferenceShapingMode:
     """
 
     def __init__(self, plant: Plant, base: Controller | None, **authority: object) -> None:
-        if not isinstance(base, OutputFeedback):
+        if not isinstance(base, OutputFeedback) or isinstance(base.law, ReplannedTracking):
             allowed = "torque, or shaping with a base that estimates and tracks: adaptive-lqr, lqg or privileged-lqr"
             raise value_error("actions", "shaping", allowed)
         self._base, self._law, self._plant = base, base.law, plant

@@ -293,6 +293,7 @@ def test_only_parts_with_authority_are_asked_for():
     ("settings", "line"),
     [
         ({"base": "pd"}, "actions: 'shaping' is not allowed; give torque, or shaping with a base that estimates"),
+        ({"base": "adaptive-planned"}, "actions: 'shaping' is not allowed; give torque, or shaping with a base that"),
         ({"actions": {"kind": "shaping", "fading": -0.1}}, "actions.fading: -0.1 is not allowed"),
         ({"actions": {"kind": "shaping", "torque": -0.1}}, "actions.torque: -0.1 is not allowed"),
         ({"base": {"kind": "privileged-lqr", "doubt": 2}}, "base.doubt: 2 is not allowed"),
