@@ -23,7 +23,6 @@ from flexman_gym.toolbox.controllers.references.single_shooting import (
     SlewTorques,
     interpolate_torques,
 )
-from flexman_gym.toolbox.controllers.references.trajectories import QUINTIC
 from flexman_gym.toolbox.controllers.tracking import Tracking
 
 # Time of the computer, which does not scale with the arm: an arm whose slews are shorter keeps those of `Tracking`
@@ -32,7 +31,7 @@ ESTIMATION_TIME = 20  # time units from the start to the first plan; earlier est
 LONGEST_PLAN = 3.0  # longest time from the start to the end of a plan / duration of a slew; limits cost and memory
 LEAST_REST = 0.1  # shortest time to the arrival for which a plan is made / duration of a slew
 TORQUE_FRACTION = 0.95  # fraction of the torque limits of a plan; the remainder is reserved for feedback
-SLEW_FACTOR = 0.73  # first trial duration / remaining duration of a quintic slew; shortest ones are 0.6 to 0.77
+SLEW_FACTOR = 0.77  # first trial duration / remaining duration of the slew of `Tracking`
 LATER_FACTOR = 1.06  # next trial duration after a plan that failed, relative to the last
 SHORTER_FACTOR = 0.96  # next trial duration after a success within the same planning time, relative to the last
 
@@ -40,10 +39,10 @@ SHORTER_FACTOR = 0.96  # next trial duration after a success within the same pla
 class ReplannedTracking(Tracking):
     """Tracking law whose slews are optimised while the arm moves.
 
-    The arm starts with the quintic slew of `Tracking`. From a first time on, once per planning time, single shooting
-    begins at the state predicted for the end of this time with the estimated parameters, from the torques that remain,
-    see `SingleShooting`. The number of Jacobians follows from the declared planning time, so that results do not depend
-    on the computer. When the planning time is over, the arm tracks the simulated states and torques of the plan. If no
+    The arm starts with the slew of `Tracking`. From a first time on, once per planning time, single shooting begins at
+    the state predicted for the end of this time with the estimated parameters, from the torques that remain, see
+    `SingleShooting`. The number of Jacobians follows from the declared planning time, so that results do not depend on
+    the computer. When the planning time is over, the arm tracks the simulated states and torques of the plan. If no
     plan settles, it tracks the reference that it has.
 
     Args:
@@ -73,7 +72,7 @@ class ReplannedTracking(Tracking):
     ) -> None:
         self._scales = scales or ArmScales.of_plant(plant)
         self._cost = weights or CostWeights.default(plant.model, self._scales)
-        super().__init__(plant, self._cost, scales=self._scales, timing=QUINTIC)
+        super().__init__(plant, self._cost, scales=self._scales)
         self._plant, model = plant, plant.model
         self._budget, self._ahead = max(1, round(thinking / JACOBIAN_TIME)), max(1, round(thinking / plant.period))
         self._begin = 1 if known else ESTIMATION_TIME * self.unit

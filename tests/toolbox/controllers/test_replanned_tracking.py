@@ -13,7 +13,6 @@ from flexman_gym.toolbox.controllers.replanned_tracking import ESTIMATION_TIME, 
 pytestmark = pytest.mark.slow
 RRR, LAB = "FlexRRR-v0", {"payload_mass": (0.0, 20.0), "sensor_noise": (0.001, 0.001), "delay": (1, 1)}
 SEEDS = [3_000_001, 3_000_002, 3_000_003]
-BELOW = {"kind": "privileged-lqr", "timing": "quintic"}
 KNOWN, UNKNOWN = {"base": "privileged-planned"}, {"base": "adaptive-planned", "randomisation": LAB}
 
 
@@ -33,8 +32,7 @@ def law(arms):
 
 
 def test_before_the_first_plan_the_arm_tracks_the_slew_of_the_law_below():
-    below = {"kind": "adaptive-lqr", "timing": "quintic"}
-    arms, others = (make(base=each, randomisation=LAB) for each in ("adaptive-planned", below))
+    arms, others = (make(base=each, randomisation=LAB) for each in ("adaptive-planned", "adaptive-lqr"))
     first = ESTIMATION_TIME * law(arms).unit + round(PLANNING_TIME / law(arms)._period)
     one, other = observed(arms, first + 40), observed(others, first + 40)
     assert np.array_equal(one[:first], other[:first])
@@ -43,7 +41,7 @@ def test_before_the_first_plan_the_arm_tracks_the_slew_of_the_law_below():
 
 def test_without_a_plan_that_settles_the_arm_tracks_the_slew_of_the_law_below(monkeypatch):
     monkeypatch.setattr(SingleShooting, "improve", lambda *_: None)
-    one, other = (observed(make(**KNOWN | {"base": base}), 120) for base in ("privileged-planned", BELOW))
+    one, other = (observed(make(**KNOWN | {"base": base}), 120) for base in ("privileged-planned", "privileged-lqr"))
     assert np.array_equal(one, other)
 
 

@@ -28,6 +28,8 @@ MAX_STRETCH = 3.0  # dimensionless; longest trial duration / the first
 MAX_DURATIONS = 40  # largest number of trial durations
 MAX_STEPS = 60  # largest number of Gauss-Newton steps for one duration
 MAX_JACOBIANS = 12  # largest number of Jacobians for one duration
+SHORTENED_FACTOR = 0.98  # dimensionless; next trial duration with the Jacobian of a solution, relative to the last
+SLEW_FACTOR = 0.73  # first trial duration / duration of a quintic slew; shortest ones are 0.6 to 0.77
 FEW_JACOBIANS = 2  # the same for a predicted slew: a longer duration needs fewer Jacobians than a second attempt
 INNER_BAND = 0.6  # fraction of the band; smaller errors have no weight
 SETTLED_BAND = 0.995  # fraction of the band within which the tip counts as settled
@@ -126,30 +128,50 @@ class SingleShooting:
         scale = slowness / regulator.period
         self._tail, self._settling = round(scale * TAIL_TIME), round(scale * SETTLING_TIME)
         self._spacing = slowness * KNOT_SPACING
+        self._jacobian_known: Array | None = None  # of the last solution
 
     def search(self) -> SlewTorques | None:
         """Return the fastest slew found, from a planned slew; None if no slew settles."""
-        torques = plan_slew(
-            self._regulator.model,
-            *self._ends,
-            SlewBounds(self._regulator.limits, FEEDFORWARD_FRACTION),
-            self._regulator.period,
-        )
-        count = len(torques.torques)
-        return self.improve(SlewTorques(torques.torques, count, count), max(1, round(FIRST_FACTOR * count)))
+        quintic = self._quintic()
+        return self.improve(quintic, max(1, round(FIRST_FACTOR * quintic.arrival)))
 
-    def first(self, solution: SlewTorques) -> SlewTorques | None:
-        """Return the first slew found that settles, at the arrival time of a guess or later; None if none settles.
+    def _quintic(self) -> SlewTorques:
+        """Return the torques of a planned slew between the ends."""
+        bounds = SlewBounds(self._regulator.limits, FEEDFORWARD_FRACTION)
+        torques = plan_slew(self._regulator.model, *self._ends, bounds, self._regulator.period).torques
+        return SlewTorques(torques, len(torques), len(torques))
 
-        The first trial is later than the guess by about the error of a predicted arrival time, since no slew arrives
-        before the shortest time.
+    def first(self, predicted: SlewTorques) -> SlewTorques | None:
+        """Return the first slew found that settles, from predicted torques and a planned slew in turn; None if none.
+
+        The first trial is later than predicted by about the error of the prediction, since no slew arrives before the
+        shortest time. Each further trial from the same torques is longer. The slew found is then shortened as long as
+        steps with its own Jacobian settle.
         """
-        arrival, found = max(1, round(LATE_FACTOR * solution.arrival)), None
+        quintic = self._quintic()
+        trials = [(predicted, LATE_FACTOR * predicted.arrival), (quintic, SLEW_FACTOR * quintic.arrival)]
+        found = None
         for _ in range(MAX_DURATIONS):
+            solution, time = trials.pop(0)
+            arrival = max(1, round(time))
             found = self._solve(self.rescale(solution, arrival), arrival, FEW_JACOBIANS)
             if found is not None or self._exhausted():
                 break
-            arrival = int(np.ceil(LATER_FACTOR * arrival))
+            trials.append((solution, LATER_FACTOR * time))
+        return found and self._shortened(found)
+
+    def _shortened(self, found: SlewTorques) -> SlewTorques:
+        """Return the last of ever shorter slews that settle after steps with the last Jacobian, without a new one."""
+        while self._jacobian_known is not None:
+            arrival = min(round(SHORTENED_FACTOR * found.arrival), found.arrival - 1)
+            periods, rows = arrival + self._tail, self._jacobian_known.shape[1]
+            before = np.round(np.arange(periods) * (rows - self._settling) / periods).astype(int)
+            after = np.arange(rows - self._settling, rows)
+            jacobian = self._jacobian_known[:, np.concatenate([before, after])]
+            shorter = self._solve(self.rescale(found, arrival, len(found.knots)), arrival, 0, jacobian)
+            if shorter is None:
+                break
+            found = shorter
         return found
 
     def improve(self, solution: SlewTorques, arrival: int, factor: float = SHORTER_FACTOR) -> SlewTorques | None:
@@ -213,13 +235,14 @@ class SingleShooting:
         self._batches[count].reset(np.arange(count), np.tile(self._start, (count, 1)))
         return self._batches[count]
 
-    def rescale(self, solution: SlewTorques, arrival: int) -> Array:
-        """Return the knots (K, n) of a slew, rescaled to an arrival time (control periods).
+    def rescale(self, solution: SlewTorques, arrival: int, count: int | None = None) -> Array:
+        """Return K knots (K, n) of a slew, rescaled to an arrival time (control periods); K by KNOT_SPACING if None.
 
         The inertial part of the torques scales with the square of the speed.
         """
         periods, limits, speed = arrival + self._tail, self._regulator.limits, solution.arrival / arrival
-        times = np.linspace(0.0, periods, max(MIN_KNOTS, round(periods * self._regulator.period / self._spacing) + 1))
+        usual = max(MIN_KNOTS, round(periods * self._regulator.period / self._spacing) + 1)
+        times = np.linspace(0.0, periods, usual if count is None else count)
         knot_times = np.linspace(0.0, solution.periods, len(solution.knots))
         torques = np.array([np.interp(speed * times, knot_times, column) for column in solution.knots.T]).T
         holding = self._holding_torques[0] + np.minimum(times / arrival, 1.0)[:, None] * (
@@ -227,19 +250,23 @@ class SingleShooting:
         )
         return np.clip(holding + (torques - holding) * speed**2, -limits, limits)
 
-    def _solve(self, knots: Array, arrival: int, most: int = MAX_JACOBIANS) -> SlewTorques | None:
+    def _solve(
+        self, knots: Array, arrival: int, most: int = MAX_JACOBIANS, jacobian: Array | None = None
+    ) -> SlewTorques | None:
         """Return the slew whose tip stays within the band from the arrival on; None if the iteration fails.
 
         Args:
             knots: (K, n) first torques, N m.
             arrival: arrival time, control periods.
             most: largest number of Jacobians.
+            jacobian: first Jacobian; None to compute it.
         """
         periods, damping, updates, jacobians = arrival + self._tail, INITIAL_DAMPING, 0, 0
-        errors, jacobian = self.errors(knots[None], periods)[0], None
+        errors = self.errors(knots[None], periods)[0]
         for _ in range(MAX_STEPS):
             outside = np.flatnonzero(np.linalg.norm(errors[:, :3], axis=1) > SETTLED_BAND * self._band)
             if outside.max(initial=-1) < arrival - 1 and np.abs(errors[:, 3:]).max() <= MAX_RATE:
+                self._jacobian_known = jacobian
                 return SlewTorques(knots, periods, int(outside.max(initial=-1)) + 2)
             if jacobian is None:
                 if jacobians >= most or self._exhausted():
