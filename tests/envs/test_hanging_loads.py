@@ -13,7 +13,10 @@ from flexman_gym.envs.config.configuration import Configuration
 from oracles.assertions import refusal
 
 ID, Y, X = "FlexPlanar-v0", (0.0, -1.0, 0.0), (1.0, 0.0, 0.0)
-SERVED = "pd", "lqr", "lqr-tracking", "lqg", "adaptive-lqr", "privileged-lqr", "pd-shaped"
+SERVED = (
+    "pd", "lqr", "lqr-tracking", "lqg", "adaptive-lqr", "adaptive-planned", "privileged-lqr", "privileged-planned",
+    "pd-shaped",
+)  # fmt: skip
 DOWN = ((0.0, 0.0, 1.0), (0.0, 1.0, 0.0), (-1.0, 0.0, 0.0))
 pytestmark = pytest.mark.filterwarnings("ignore:.*radius of gyration")
 
