@@ -12,7 +12,7 @@ from flexman_gym.common.arrays import Array, BoolArray, IntArray, pad_rows
 from flexman_gym.common.checks import flag, positive
 from flexman_gym.common.errors import value_error
 from flexman_gym.model.statics import rest_state
-from flexman_gym.toolbox.controllers.arm_scales import ArmScales
+from flexman_gym.toolbox.controllers.arm_scales import NAMED_SLEW, ArmScales
 from flexman_gym.toolbox.controllers.cost_weights import parse_weights
 from flexman_gym.toolbox.controllers.observers.estimator import Estimator
 from flexman_gym.toolbox.controllers.observers.kalman_filter import KalmanFilter
@@ -211,7 +211,8 @@ def _privileged(
     plant: Plant, weights: object = None, doubt: object = False, retimed: object = True, design: object = None
 ) -> OutputFeedback:
     law = _law(plant, weights, design, flag("base.retimed", retimed))
-    return OutputFeedback(Oracle(plant, flag("base.doubt", doubt)), law)
+    time = ArmScales.of_plant(plant, design).slew / NAMED_SLEW
+    return OutputFeedback(Oracle(plant, flag("base.doubt", doubt), time), law)
 
 
 def _privileged_planned(
