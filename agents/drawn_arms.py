@@ -17,9 +17,10 @@ from flexman_gym.envs.config.arm_settings import (
 from flexman_gym.model.model import build_model
 from flexman_gym.model.statics import holding_torques
 from flexman_gym.model.vibration import modes
-from flexman_gym.scene.arm import Arm, Payload
+from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.joint import Joint
 from flexman_gym.scene.link import Link
+from flexman_gym.scene.rigid_body import Payload
 
 JOINTS = (1, 3)  # fewest and most joints
 REACH = (0.3, 12.0)  # m; log-uniform
@@ -89,8 +90,9 @@ def _draw(random: Generator) -> Arm:
 
     tried = SLENDERNESS * reach / n
     found = float(modes(build_model(make(tried), elements=2), motors="held").frequencies[0])
-    diameter = tried * frequency / found
-    return make(diameter, _torques(make(diameter), slew))
+    sized = make(tried * frequency / found)
+    mass = payload * sum(link.mass for link in sized.links)
+    return make(tried * frequency / found, _torques(sized, mass, slew))
 
 
 def _axes(random: Generator, n: int, weighs: bool) -> list[tuple[float, float, float]]:
@@ -100,9 +102,9 @@ def _axes(random: Generator, n: int, weighs: bool) -> list[tuple[float, float, f
     return [TURNING_AXIS, *(LIFTING_AXIS if random.random() < LIFTING else TURNING_AXIS for _ in range(n - 1))]
 
 
-def _torques(arm: Arm, slew: float) -> Array:
-    """Return the torque limits (n,), N m, for slews of a duration, s, beside the weight."""
-    loaded = build_model(Arm(arm.links, arm.joints, Payload(2.0 * arm.payload.mass), gravity=arm.gravity), elements=1,
+def _torques(arm: Arm, payload: float, slew: float) -> Array:
+    """Return the torque limits (n,), N m, for slews of a duration, s, beside the weight with a payload, kg."""
+    loaded = build_model(Arm(arm.links, arm.joints, Payload(2.0 * payload), gravity=arm.gravity), elements=1,
                          flexible_links=False, flexible_joints=False)  # fmt: skip
     inertia = slew_inertia(build_model(arm, elements=2), np.full(arm.n_joints, CHANGE))
     weight = np.abs(holding_torques(loaded, np.zeros(arm.n_joints)))

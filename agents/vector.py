@@ -120,7 +120,7 @@ class JoinedVecEnv(VecEnv):
     def step_wait(self) -> VecEnvStepReturn:
         """Step all arms; return observations (b, size), rewards (b,), ends of episodes (b,) and infos."""
         steps = [part.step_wait() for part in self.parts]
-        observations, rewards, ends = (np.concatenate([step[i] for step in steps]) for i in range(3))  # type: ignore[misc]
+        observations, rewards, ends = (np.concatenate([step[i] for step in steps]) for i in range(3))
         return observations, rewards, ends, [info for step in steps for info in step[3]]
 
     def close(self) -> None:
