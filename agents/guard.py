@@ -27,13 +27,13 @@ def guard(folder: str | Path, keep_worse: bool = False) -> str:
         keep_worse: True to keep the policy even then.
 
     Returns:
-        Report in one or two lines; "" for a run without base controller.
+        Report in one or two lines; "" for a run without base controller, or over random arms.
     """
     folder = Path(folder)
     settings, result = Settings.load(folder), folder / RESULT
     environment, base = settings.environment, settings.base_in_use or settings.environment.base
     result.unlink(missing_ok=True)
-    if base is None:
+    if base is None or settings.arms is not None:
         return ""
     bare, agent = base_alone(environment, base)
     own, of_base = _settled(find_agent(folder), bare), _settled(agent, bare)

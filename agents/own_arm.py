@@ -37,7 +37,13 @@ def fit_to_arm(settings: Settings, arm: object, changes: Sequence[str] = ()) -> 
         arm: as the setting `arm` of an environment, or the path of a file of an environment. The settings of such a
             file take precedence over those of the recipe, apart from those of the agent in INTERFACE.
         changes: changes "name=value" of settings of the environment, which take precedence.
+
+    Raises:
+        ValueError: for a recipe that is trained over random arms.
     """
+    if settings.arms is not None:
+        allowed = "none: this recipe is trained over random arms, and its policy acts on any"
+        raise ValueError(f"arm: a file is not allowed; give {allowed}")
     named, given = settings.environment, {"arm": arm}  # checked after the changes, which may have torque limits
     kept = named.without(("arm", "gains", "horizon", "control_period", "limits", "slew_time"))
     if of_file := Configuration.of_file(arm):

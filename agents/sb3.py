@@ -15,11 +15,9 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.save_util import load_from_zip_file
 from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
 
-from flexman_agents.settings import (
-    DEFAULT_HYPERPARAMETERS,
-    Settings,
-)
-from flexman_agents.vector import SB3VecEnv
+from flexman_agents.generalist import arm_environments
+from flexman_agents.settings import DEFAULT_HYPERPARAMETERS, Settings
+from flexman_agents.vector import JoinedVecEnv, SB3VecEnv
 from flexman_gym.common import files
 from flexman_gym.common.checks import one_of
 from flexman_gym.common.errors import value_error
@@ -59,9 +57,17 @@ def make_model(settings: Settings, device: str = "cpu") -> BaseAlgorithm:
 
 def _make_environments(settings: Settings) -> VecMonitor:
     """Return the vector environment of a training, with a monitor of returns and lengths of episodes."""
-    environment = settings.training_environment
+    if settings.arms is None:
+        return VecMonitor(_make_vector(settings.training_environment, settings.envs))
+    each_arm = settings.envs // settings.arms
+    parts = [_make_vector(each, each_arm) for each in arm_environments(settings.environment, settings.arms)]
+    return VecMonitor(JoinedVecEnv(parts))
+
+
+def _make_vector(environment: Configuration, envs: int) -> SB3VecEnv:
+    """Return the vector environment of one arm."""
     keywords = environment.keywords() | {"autoreset_mode": AutoresetMode.SAME_STEP, "infos": "at end"}
-    return VecMonitor(SB3VecEnv(gym.make_vec(environment.id, settings.envs, "vector_entry_point", **keywords)))
+    return SB3VecEnv(gym.make_vec(environment.id, envs, "vector_entry_point", **keywords))
 
 
 def _algorithm_arguments(settings: Settings) -> dict[str, Any]:

@@ -18,7 +18,7 @@ from flexman_gym.common.errors import unknown_name, value_error
 from flexman_gym.common.run_folder import NO_SETTINGS, SETTINGS, read_settings
 from flexman_gym.envs.config.configuration import Configuration
 
-OPTIONAL = ("training_horizon",)  # settings that a file lacks where they are None
+OPTIONAL = ("training_horizon", "arms")  # settings that a file lacks where they are None
 RECORDED_PACKAGES = ("flexman_gym", "gymnasium", "numba", "numpy", "scipy", "stable-baselines3", "torch")
 ALGORITHMS = ("ppo", "sac", "dagger")
 DEFAULT_ENVS = {"ppo": 64, "sac": 16, "dagger": 128}  # algorithm -> parallel arms
@@ -100,6 +100,8 @@ class Settings:
             on which it is used; None for the base controller of the training.
         training_horizon: time after which an episode of the training is truncated, s; None for the horizon of the
             environment, which evaluations have. DAgger has that of the environment.
+        arms: number of random arms that replace the arm of the environment in the training with PPO, see
+            `generalist.arm_environments`; None for the arm of the environment.
     """
 
     algo: str = "ppo"
@@ -114,6 +116,7 @@ class Settings:
     value_warmup: int = 0
     base_in_use: Any = None
     training_horizon: float | None = None
+    arms: int | None = None
 
     def __post_init__(self) -> None:
         set_fields(self, algo=one_of("algo", self.algo, ALGORITHMS))
@@ -147,6 +150,18 @@ class Settings:
             eval_every=whole_number("eval_every", self.eval_every, 0, MAX_STEPS if self.algo != "dagger" else 0),
             value_warmup=whole_number("value_warmup", self.value_warmup, 0, MAX_STEPS if self.algo == "ppo" else 0),
         )
+        self._check_arms()
+
+    def _check_arms(self) -> None:
+        """Check the settings of a training over random arms, if it is one."""
+        if self.arms is None:
+            return
+        arms = whole_number("arms", self.arms, 1, self.envs)
+        for name, allowed in (("training_horizon", None), ("eval_every", 0), ("algo", "ppo")):
+            if getattr(self, name) != allowed:
+                raise value_error(name, getattr(self, name), f"{allowed} for a training over random arms")
+        if self.envs % arms:
+            raise value_error("envs", self.envs, f"a multiple of the number of arms, {arms}")
 
     @property
     def training_environment(self) -> Configuration:

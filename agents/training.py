@@ -30,7 +30,7 @@ from flexman_agents.callbacks import (
 from flexman_agents.imitation import DAggerRun
 from flexman_agents.sb3 import make_model
 from flexman_agents.settings import EXPLORATION_SCHEDULES, MAX_STEPS, Settings
-from flexman_agents.vector import SB3VecEnv
+from flexman_agents.vector import JoinedVecEnv, SB3VecEnv
 from flexman_gym.common.checks import whole_number
 from flexman_gym.common.errors import value_error
 from flexman_gym.common.files import reading
@@ -89,7 +89,7 @@ def _training_state(model: BaseAlgorithm) -> dict[str, Any]:
     }
     normaliser, _, arms = _layers(model)
     result["returns"] = {"statistics": _statistics_state(normaliser.ret_rms), "running": normaliser.returns.copy()}
-    result["environment"] = arms.env.unwrapped.get_state()  # type: ignore[attr-defined]
+    result["environment"] = arms.get_state()
     if isinstance(model, SAC):
         coefficient = model.log_ent_coef
         result["entropy"] = None if coefficient is None else coefficient.detach().numpy().copy()
@@ -104,7 +104,7 @@ def _set_training_state(model: BaseAlgorithm, data: Any) -> None:
     _check(data, names + ["entropy", "replay"] * isinstance(model, SAC))
     for part, (_, fields) in attributes.items():
         _check(data[part], fields, part)
-    arms.env.unwrapped.set_state(data["environment"])  # type: ignore[attr-defined]
+    arms.set_state(data["environment"])
     for part, (owner, fields) in attributes.items():
         for name in fields:
             setattr(owner, name, get_state(data[part][name]))
@@ -123,7 +123,7 @@ def _set_training_state(model: BaseAlgorithm, data: Any) -> None:
     _set_random_state(data["random"])
 
 
-def _layers(model: BaseAlgorithm) -> tuple[VecNormalize, VecMonitor, SB3VecEnv]:
+def _layers(model: BaseAlgorithm) -> tuple[VecNormalize, VecMonitor, SB3VecEnv | JoinedVecEnv]:
     """Return the wrappers of the environment: normalisation, monitor, and the vector environment."""
     normaliser = _normaliser(model)
     monitor: Any = normaliser.venv

@@ -1,5 +1,6 @@
 """Adapter from vector environments of Gymnasium to the VecEnv interface of Stable-Baselines3."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import gymnasium as gym
@@ -80,6 +81,78 @@ class SB3VecEnv(VecEnv):
     def env_is_wrapped(self, wrapper_class: type[gym.Wrapper], indices: VecEnvIndices = None) -> list[bool]:
         """Return False once per arm, as no arm has its own wrapper."""
         return [False for _ in self._get_indices(indices)]
+
+    def get_state(self) -> Any:
+        """Return the state of all episodes."""
+        return self.env.unwrapped.get_state()  # type: ignore[attr-defined]
+
+    def set_state(self, state: Any) -> None:
+        """Restore the state of all episodes."""
+        self.env.unwrapped.set_state(state)  # type: ignore[attr-defined]
+
+
+class JoinedVecEnv(VecEnv):
+    """Vector environments of different arms, with equal observations and actions, as one.
+
+    Args:
+        parts: the vector environments.
+    """
+
+    def __init__(self, parts: Sequence[SB3VecEnv]) -> None:
+        self.parts = tuple(parts)
+        ends = np.cumsum([part.num_envs for part in parts]).tolist()
+        self._slices = [slice(first, end) for first, end in zip([0, *ends], ends, strict=False)]
+        super().__init__(ends[-1], parts[0].observation_space, parts[0].action_space)
+
+    def reset(self) -> NDArray[np.float32]:
+        """Return observations (b, size) of new episodes, with the seeds of `seed`."""
+        for part, rows in zip(self.parts, self._slices, strict=True):
+            if self._seeds[rows.start] is not None:
+                part.seed(self._seeds[rows.start])
+        self._reset_seeds()
+        return np.concatenate([part.reset() for part in self.parts])
+
+    def step_async(self, actions: NDArray[np.float32]) -> None:
+        """Store the actions (b, n) for `step_wait`."""
+        for part, rows in zip(self.parts, self._slices, strict=True):
+            part.step_async(actions[rows])
+
+    def step_wait(self) -> VecEnvStepReturn:
+        """Step all arms; return observations (b, size), rewards (b,), ends of episodes (b,) and infos."""
+        steps = [part.step_wait() for part in self.parts]
+        observations, rewards, ends = (np.concatenate([step[i] for step in steps]) for i in range(3))
+        return observations, rewards, ends, [info for step in steps for info in step[3]]
+
+    def close(self) -> None:
+        """Close the environments."""
+        for part in self.parts:
+            part.close()
+
+    def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
+        """Return an attribute of the environments, once per arm."""
+        values = [value for part in self.parts for value in part.get_attr(attr_name)]
+        return [values[i] for i in self._get_indices(indices)]
+
+    def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
+        """Raise ValueError, as for each part."""
+        self.parts[0].set_attr(attr_name, value)
+
+    def env_method(self, method_name: str, *args: Any, indices: VecEnvIndices = None, **named: Any) -> list[Any]:
+        """Raise ValueError, as for each part."""
+        return self.parts[0].env_method(method_name)
+
+    def env_is_wrapped(self, wrapper_class: type[gym.Wrapper], indices: VecEnvIndices = None) -> list[bool]:
+        """Return False once per arm, as no arm has its own wrapper."""
+        return [False for _ in self._get_indices(indices)]
+
+    def get_state(self) -> list[Any]:
+        """Return the states of all episodes, one of each part."""
+        return [part.get_state() for part in self.parts]
+
+    def set_state(self, state: list[Any]) -> None:
+        """Restore the states of all episodes."""
+        for part, each in zip(self.parts, state, strict=True):
+            part.set_state(each)
 
 
 def _info_of_arm(infos: Infos, arm: int) -> Infos:

@@ -197,7 +197,7 @@ ACTIONS: Registry[ActionModeEntry] = Registry("action-mode", {
     "voltage": f"{__name__}:VOLTAGE",
     "velocity": "flexman_gym.toolbox.controllers.servo:VELOCITY",
     "position": "flexman_gym.toolbox.controllers.servo:POSITION",
-    "shaping": "flexman_gym.toolbox.controllers.shaping_mode:ENTRY",
+    "shaping": "flexman_gym.toolbox.controllers.arm_shaping_mode:ENTRY",
 })  # fmt: skip
 """Action modes: name -> construction and arguments."""
 

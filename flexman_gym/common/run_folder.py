@@ -19,7 +19,7 @@ RESULT, BASE = "result.json", "base"  # file that names the result of a run; the
 NO_SETTINGS = "has no settings of a training run"  # predicate of a damaged file of settings
 KEYS = (  # settings of a training run, and the versions of packages with which it was trained
     "algo", "environment", "steps", "seed", "envs", "hyperparameters", "schedules", "normalise_reward", "eval_every",
-    "value_warmup", "base_in_use", "training_horizon", "versions", "earlier_versions",
+    "value_warmup", "base_in_use", "training_horizon", "arms", "versions", "earlier_versions",
 )  # fmt: skip
 PLAIN_DATA = "data.json"  # name of the JSON-compatible data among the arrays of a file
 

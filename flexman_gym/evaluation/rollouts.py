@@ -325,8 +325,12 @@ class _ObservedTask:
 
 
 def _check_joint_count(agent: AgentSpec, environment: Configuration) -> None:
-    """Raise ValueError if a policy was trained on an arm with a different number of joints."""
-    if agent.environment is None:
+    """Raise ValueError if a policy was trained on an arm with a different number of joints.
+
+    A policy with actions and observations in units of the arm acts on any number of joints.
+    """
+    actions = (agent.interface or {}).get("actions")
+    if agent.environment is None or (isinstance(actions, dict) and actions.get("units") == "arm"):
         return
     own, count = agent.environment.arm.n_joints, environment.arm.n_joints
     if own != count:

@@ -12,7 +12,7 @@ from flexman_gym.common.arrays import Array, BoolArray, IntArray, pad_rows
 from flexman_gym.common.checks import flag, positive
 from flexman_gym.common.errors import value_error
 from flexman_gym.model.statics import rest_state
-from flexman_gym.toolbox.controllers.arm_scales import ArmScales
+from flexman_gym.toolbox.controllers.arm_scales import NAMED_SLEW, ArmScales
 from flexman_gym.toolbox.controllers.cost_weights import CostWeights, parse_weights
 from flexman_gym.toolbox.controllers.observers.estimator import Estimator
 from flexman_gym.toolbox.controllers.observers.kalman_filter import KalmanFilter
@@ -208,8 +208,9 @@ def _fallback(plant: Plant) -> PD | None:
 
 
 def _privileged(plant: Plant, doubt: object = False, retimed: object = True, **options: Any) -> OutputFeedback:
+    slowness = ArmScales.of_plant(plant, options.get("design")).slew / NAMED_SLEW
     law = _law(plant, options, flag("base.retimed", retimed))
-    return OutputFeedback(Oracle(plant, flag("base.doubt", doubt)), law)
+    return OutputFeedback(Oracle(plant, flag("base.doubt", doubt), slowness), law)
 
 
 def _privileged_planned(plant: Plant, **options: Any) -> OutputFeedback:

@@ -37,6 +37,7 @@ class ReferenceShaping:
         limits: (n,) torque limits, N m.
         period: control period, s.
         authority: limits of the changes that the agent can command.
+        gain: change of the time scaling in a control period / its distance to the command.
 
     Attributes:
         clock_offset: (b,) time by which the clock of each slew is ahead, s.
@@ -46,8 +47,16 @@ class ReferenceShaping:
 
     state_fields = ("clock_offset", "offsets", "action")
 
-    def __init__(self, slews: SlewReferences, limits: Array, period: float, authority: ShapingLimits) -> None:
+    def __init__(
+        self,
+        slews: SlewReferences,
+        limits: Array,
+        period: float,
+        authority: ShapingLimits,
+        gain: float = TIME_SCALING_GAIN,
+    ) -> None:
         self._slews, self._limits, self._period, self._authority = slews, limits, period, authority
+        self._gain = gain
         n = self._joints = len(limits)
         self.clock_offset, self.offsets, self.action = np.zeros(0), np.zeros((0, 2, n)), np.zeros((0, 1 + 2 * n))
 
@@ -60,7 +69,7 @@ class ReferenceShaping:
     def update_time_scaling(self, arms: IntArray) -> None:
         """Move the time scaling of the arms (r,) towards its commanded value."""
         slews, target = self._slews, np.exp(self._authority.pace * self.action[arms, 0])
-        change = TIME_SCALING_GAIN * (target - slews.time_scaling[arms])
+        change = self._gain * (target - slews.time_scaling[arms])
         slews.time_scaling[arms] += change
         slews.pace_rate[arms] = 0.5 * change / self._period  # half of the mean rate, since the deflection lags
 

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from flexman_gym.agent.action_modes import MAX_OBSERVATION, ActionModeEntry
+from flexman_gym.agent.action_modes import MAX_OBSERVATION
 from flexman_gym.agent.controller import Controller, EpisodeInfo, Plant, Readings
 from flexman_gym.common.arrays import Array, BoolArray, IntArray
 from flexman_gym.common.checks import non_negative
@@ -40,19 +40,26 @@ class ReferenceShapingMode:
         limits = ShapingLimits(**{name: non_negative(f"actions.{name}", value) for name, value in authority.items()})
         self.strength = limits.torque if limits.fading == 0.0 else None
         n = self.joints = len(plant.torque_limit)
-        self._shaping = self._law.shaping = ReferenceShaping(self._law.slews, self._law.limits, plant.period, limits)
+        self._shaping = self._law.shaping = self._make_shaping(limits)
         names = ("pace", *(f"{part}_{joint + 1}" for part in ("offset", "torque") for joint in range(n)))
         self._columns = np.flatnonzero(np.repeat([limits.pace, limits.offset, limits.torque], [1, n, n]) > 0.0)
         self.names = tuple(names[column] for column in self._columns)
         self.sensors: tuple[object, ...] = tuple(base.sensors)
         self._quantities = LinearMeasurements(plant.model)
         self._ranges = np.concatenate([plant.measured()[name][0] for name in self._quantities.columns])
-        # the names are stored in files of policies
+        self.observation_sizes = self._sizes()
+        self._observed = np.zeros((0, sum(self.observation_sizes.values())))
+
+    def _make_shaping(self, limits: ShapingLimits) -> ReferenceShaping:
+        """Return the reference shaping with which the slews of the base run."""
+        return ReferenceShaping(self._law.slews, self._law.limits, self._plant.period, limits)
+
+    def _sizes(self) -> Mapping[str, int]:
+        """Return the numbers of observed quantities by name; the names are stored in files of policies."""
+        n = self.joints
         sizes = {"estimate": 8 * n, "departures": 8 * n, "angle_errors": 2 * n, "reference": 2 * n, "way": 3 * n}
         sizes |= {"clock": 6, "offsets": 2 * n, "applied": n, "action": len(self.names)}
-        sizes |= {"parameters": 1 + 2 * n, "deviations": 1 + 2 * n}
-        self.observation_sizes: Mapping[str, int] = sizes
-        self._observed = np.zeros((0, sum(sizes.values())))
+        return sizes | {"parameters": 1 + 2 * n, "deviations": 1 + 2 * n}
 
     def reset(self, arms: IntArray, episode: EpisodeInfo, count: int) -> None:
         """Start new episodes; arguments as in `Controller.reset`.
@@ -139,6 +146,3 @@ class ReferenceShapingMode:
         if "link_stiffness_factor_deviation" in estimates:
             result[:, 1 + n :] = estimates["link_stiffness_factor_deviation"][arms]
         return result
-
-
-ENTRY = ActionModeEntry(ReferenceShapingMode, ShapingLimits._fields)

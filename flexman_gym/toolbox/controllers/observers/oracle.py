@@ -23,15 +23,16 @@ class Oracle:
         plant: plant model; the true parameters are those of each episode.
         doubt: True to add to the uncertain parameters a simulated estimation error that decays as that of `Estimator`,
             for agents that are trained with the oracle and run with the estimator.
+        time: factor of the times of this decay, for an arm whose slews are longer or shorter than those of FlexRRR-v0.
     """
 
     sensors: tuple[str, ...] = ("state",)
     state_fields = ("_prediction", "_ages")
 
-    def __init__(self, plant: Plant, doubt: bool = False) -> None:
+    def __init__(self, plant: Plant, doubt: bool = False, time: float = 1.0) -> None:
         self._prediction, self._delays = DelayCompensation(plant), np.zeros(0, dtype=np.int64)
         self._parameters: dict[str, Array] = {}
-        self._plant, self._ages = plant, np.zeros(0, dtype=np.int64)
+        self._plant, self._time, self._ages = plant, time, np.zeros(0, dtype=np.int64)
         ranges = {name: span for name, span in plant.unknown.items() if UNCERTAIN.get(name) in DEVIATION_DECAY}
         self._uncertain = UncertainParameters(plant.model, ranges) if doubt and ranges else None
         # true parameter vectors and standard normal errors
@@ -67,7 +68,7 @@ class Oracle:
         """Standard deviations (b, p) as fractions of the prior standard deviations."""
         assert self._uncertain is not None
         scales, powers = np.array([DEVIATION_DECAY[name] for name in self._uncertain.names]).T
-        return 1.0 / (1.0 + (self._ages[:, None] * self._plant.period / scales) ** powers)
+        return 1.0 / (1.0 + (self._ages[:, None] * self._plant.period / (self._time * scales)) ** powers)
 
     def _current_parameters(self) -> dict[str, Array]:
         """Return the parameters of all arms, name -> (b, ...), with the simulated estimation errors."""

@@ -342,6 +342,11 @@ class SlewReferences:
         over = elapsed >= duration
         return np.where(over, 1.0, progress), np.where(over, 0.0, speed), np.where(over, 0.0, acceleration)
 
+    def torques(self, times: Array, arms: IntArray) -> Array:
+        """Return the feed-forward torques (r, k, n) of the arms (r,) at times (r, k) of unscaled clocks, N m."""
+        progress, speed, acceleration = self.at(times, arms)
+        return self._interpolate(self._adapted_torques, arms, progress, acceleration, speed)
+
     def motion(self, times: Array, torque_times: Array, arms: IntArray) -> tuple[Array, Array]:
         """Return the reference states (r, 2 d) and the feed-forward torques without friction (r, n), N m.
 
