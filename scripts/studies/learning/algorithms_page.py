@@ -1,0 +1,103 @@
+"""Page of the comparison of algorithms at equal CPU time."""
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from flexman_gym.common.formatting import millimetres
+from flexman_gym.common.markdown import markdown_table
+from flexman_gym.metrics.statistics import median_interval
+from studies.learning.algorithms import BUDGETS, ENVIRONMENT, EPISODES, RECIPES, REFERENCES, AlgorithmRow
+from studies.screen import screen
+
+TITLES = {"sac": "SAC", "tqc": "TQC", "crossq": "CrossQ", "ppo": "PPO"}
+QUESTION = "Which algorithm trains the best policy on a PD in the same CPU time, and where does training not pay?"
+ANSWER = "**{best}** {references}"
+BODY = """{table}
+
+Slews of the known arm of `{environment}`, episodes {first} to {last}, which were used for no choice: settled share,
+and median settling time with its 95 % interval (bootstrap over episodes and training seeds, their number in brackets;
+with one seed it lacks the spread between runs). Policies add torques to the PD and observe the true state, which
+`lqr-tracking` has, too; `shaping-flexrrr` and `planned` also have the exact parameters.
+
+CPU time of one core without evaluations. The schedules of learning rate and exploration end after 40 minutes, so that
+policies after 2 and 10 minutes are on the way: a recipe whose schedules end there is better."""
+
+
+class _Result(NamedTuple):
+    """Result after a CPU time: settled share, median time (s) with interval, vibration (m), number of seeds."""
+
+    settled: float
+    time: float
+    low: float
+    high: float
+    vibration: float
+    seeds: int
+
+    @property
+    def text(self) -> str:
+        """Settled share, median settling time and its interval."""
+        if not math.isfinite(self.time):
+            return f"{100 * self.settled:.0f} %"
+        return f"{100 * self.settled:.0f} %, {self.time:.2f} s ({_seconds(self.low)} to {_seconds(self.high)})"
+
+
+def result(rows: Iterable[AlgorithmRow], algorithm: str, minutes: float | None) -> _Result | None:
+    """Return the result of an algorithm after a CPU time (min) over all seeds; None without rows."""
+    found = [row for row in rows if (row.algorithm, row.minutes) == (algorithm, minutes)]
+    if not found:
+        return None
+    times = median_interval(np.array([row.settling_times for row in found]))
+    settled, vibration = (float(np.median([getattr(row, name) for row in found])) for name in ("settled", "vibration"))
+    return _Result(settled, *times, vibration, len(found))
+
+
+def best(rows: Sequence[AlgorithmRow], minutes: float) -> list[tuple[str, _Result]]:
+    """Return the algorithms with their results after a CPU time (min), the shortest median settling time first."""
+    found = [(name, each) for name in RECIPES if (each := result(rows, name, minutes))]
+    return sorted(found, key=lambda pair: (pair[1].time, -pair[1].settled))
+
+
+def comparison(rows: Sequence[AlgorithmRow]) -> str:
+    """Return a sentence with the fastest policy and the next after each CPU time."""
+    parts = []
+    for minutes in BUDGETS:
+        if len(order := best(rows, minutes)) == len(RECIPES):
+            (name, first), (other, second) = order[:2]
+            gap = "" if first.high < second.low else ", which the intervals do not separate"
+            parts.append(f"after {minutes:g} CPU minutes {TITLES[name]} is first with {first.text} and {TITLES[other]} "
+                         f"second with {second.text}{gap}")  # fmt: skip
+    text = "; ".join(parts) or "not all algorithms have rows yet"
+    return f"{text[0].upper()}{text[1:]}."
+
+
+def references(rows: Sequence[AlgorithmRow]) -> str:
+    """Return a sentence with the agents without training in this study."""
+    found = [(name, each) for name in REFERENCES if (each := result(rows, name, None))]
+    return f"Without training: {', '.join(f'`{name}` {each.text}' for name, each in found)}."
+
+
+def page(rows: Sequence[AlgorithmRow], files: Mapping[str, str]) -> str:
+    """Return the page as Markdown; `files` is the file of the rows with its comment."""
+    lines = []
+    for name in RECIPES:
+        own = {minutes: each for minutes in BUDGETS if (each := result(rows, name, minutes))}
+        if own:
+            latest = own[max(own)]
+            seeds = " / ".join(dict.fromkeys(str(each.seeds) for each in own.values()))
+            cells = [own[minutes].text if minutes in own else "" for minutes in BUDGETS]
+            lines.append((f"{TITLES[name]} ({seeds})", *cells, millimetres(latest.vibration)))
+    for name in REFERENCES:
+        if each := result(rows, name, None):
+            lines.append((f"`{name}`", "", "", each.text, millimetres(each.vibration)))
+    heads = ("agent (seeds)", *(f"{minutes:g} min" for minutes in BUDGETS), "vibration")
+    body = BODY.format(table="\n".join(markdown_table(heads, lines)), environment=ENVIRONMENT, first=EPISODES.start,
+                       last=EPISODES.stop - 1)  # fmt: skip
+    answer = ANSWER.format(best=comparison(rows), references=references(rows))
+    return screen("Algorithms at equal CPU time", QUESTION, answer, body, files, "algorithms")
+
+
+def _seconds(value: float) -> str:
+    return f"{value:.2f}" if math.isfinite(value) else "-"
