@@ -14,7 +14,6 @@ from flexman_agents.sb3 import (
     load_sb3,
     make_model,
 )
-from flexman_agents.training import train
 from flexman_gym.__main__ import main
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation.agent_spec import AgentSpec, split_interface
@@ -64,24 +63,6 @@ def test_a_model_brings_environment_interface_and_statistics(model, tmp_path, ca
     path.write_bytes(b"noise")
     assert "this is not a policy of Stable-Baselines3" in refusal(load_sb3, path)
     assert main(["evaluate", str(path), "--trust"]) == 2 and "own.zip" in capsys.readouterr().err
-
-
-@pytest.mark.slow
-def test_a_trained_policy_of_crossq_acts_as_its_model(tmp_path):
-    """After the training, whose batch renormalisations have running statistics of their own."""
-    settings = replace(RUNS["crossq"], eval_every=0)
-    trained = train(settings, tmp_path / "run", progress=False)
-    statistics = trained.policy.state_dict()
-    assert statistics["actor.latent_pi.0.steps"] > 10 and (statistics["actor.latent_pi.0.ra_mean"] != 0.0).all()
-    normalised, seen = trained.get_vec_normalize_env().normalize_obs, observations(trained)
-    expected = trained.predict(normalised(seen), deterministic=True)[0]
-    assert find_agent(str(tmp_path / "run")).law(seen) == pytest.approx(expected, abs=1e-5)
-
-
-def observations(model):
-    """Return 30 random observations of a model."""
-    size = model.observation_space.shape[0]
-    return np.random.default_rng(1).normal(size=(30, size)).astype(np.float32)
 
 
 @pytest.mark.parametrize("algo", ["sac", "tqc"])
