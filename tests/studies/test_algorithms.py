@@ -158,8 +158,20 @@ def test_the_page_names_the_fastest_and_whether_the_intervals_overlap():
     assert sentence.startswith("After 2 CPU minutes SAC is first with 100 %, 2.50 s") and "not separate" not in sentence
     assert "not separate" in algorithms_page.comparison([*rows, row("tqc", 1.0, 2.0, [2.4] * 3)])
     text = algorithms_page.page([*rows, row("planned")], {"algorithms.csv": "a computer"})
-    assert "| PPO (1) | 100 % | 100 % | 100 % |" in text and "`planned` 100 %, 3.00 s" in text
+    assert (
+        "| PPO (1) | 100 % | 100 % | 100 % |" in text and "| `planned` |  |  | 100 %, 3.00 s (2.00 to 4.00) |" in text
+    )
     assert algorithms_page.comparison(rows[:3]) == "Not all algorithms have rows yet."
+
+
+def test_agents_without_training_are_compared_with_the_fastest_policy_of_all_times():
+    agents = [row("pd", times=[np.inf] * 3), row("lqr-tracking"), row("planned", times=[2.0] * 3)]
+    policies = [row("sac", 0.0, 2.0, [2.4] * 3), row("tqc", 0.0, 10.0, [2.5] * 3)]
+    assert algorithms_page.references([*agents, *policies]) == (
+        "The fastest policy, of SAC after 2 minutes (2.40 s), is faster than `pd` (half of the episodes do not settle) "
+        "and `lqr-tracking` (3.00 s); training does not pay where `planned` (2.00 s) can be used."
+    )
+    assert algorithms_page.references(agents) == "There is no policy to compare yet."
 
 
 def test_the_runner_names_its_table_and_page():

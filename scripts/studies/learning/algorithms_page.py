@@ -20,7 +20,8 @@ BODY = """{table}
 Slews of the known arm of `{environment}`, episodes {first} to {last}, which were used for no choice: settled share,
 and median settling time with its 95 % interval (bootstrap over episodes and training seeds, their number in brackets;
 with one seed it lacks the spread between runs). Policies add torques to the PD and observe the true state, which
-`lqr-tracking` has, too; `shaping-flexrrr` and `planned` also have the exact parameters.
+`lqr-tracking` has, too; `shaping-flexrrr`, a policy that changes the reference of such a controller, and `planned` also
+have the exact parameters.
 
 CPU time of one core without evaluations. The schedules of learning rate and exploration end after 40 minutes, so that
 policies after 2 and 10 minutes are on the way: a recipe whose schedules end there is better."""
@@ -74,9 +75,21 @@ def comparison(rows: Sequence[AlgorithmRow]) -> str:
 
 
 def references(rows: Sequence[AlgorithmRow]) -> str:
-    """Return a sentence with the agents without training in this study."""
+    """Return a sentence that compares the fastest policy of all CPU times with the agents that are not trained here."""
     found = [(name, each) for name in REFERENCES if (each := result(rows, name, None))]
-    return f"Without training: {', '.join(f'`{name}` {each.text}' for name, each in found)}."
+    policies = [(each.time, minutes, name) for minutes in BUDGETS for name, each in best(rows, minutes)]
+    if not policies or not found:
+        return "There is no policy to compare yet."
+    time, minutes, name = min(policies)
+    slower, faster = (_names([(agent, each) for agent, each in found if (each.time <= time) == wanted])
+                      for wanted in (False, True))  # fmt: skip
+    return (f"The fastest policy, of {TITLES[name]} after {minutes:g} minutes ({_settling(time)}), is faster than "
+            f"{slower}; training does not pay where {faster} can be used.")  # fmt: skip
+
+
+def _names(agents: Sequence[tuple[str, _Result]]) -> str:
+    """Return the names of agents with their median settling times."""
+    return " and ".join(f"`{name}` ({_settling(each.time)})" for name, each in agents) or "none of the other agents"
 
 
 def page(rows: Sequence[AlgorithmRow], files: Mapping[str, str]) -> str:
@@ -97,6 +110,10 @@ def page(rows: Sequence[AlgorithmRow], files: Mapping[str, str]) -> str:
                        last=EPISODES.stop - 1)  # fmt: skip
     answer = ANSWER.format(best=comparison(rows), references=references(rows))
     return screen("Algorithms at equal CPU time", QUESTION, answer, body, files, "algorithms")
+
+
+def _settling(time: float) -> str:
+    return f"{time:.2f} s" if math.isfinite(time) else "half of the episodes do not settle"
 
 
 def _seconds(value: float) -> str:
