@@ -22,7 +22,7 @@ from studies.files import read_rows, write_rows
 
 ENVIRONMENT = "FlexRRR-v0"
 RECIPES = {"sac": "sac_on_pd", "tqc": "tqc_on_pd", "crossq": "crossq_on_pd", "ppo": "ppo_on_pd"}
-STEPS = {"sac": 3_600_000, "tqc": 2_700_000, "crossq": 2_000_000, "ppo": 25_000_000}
+STEPS = {"sac": 3_100_000, "tqc": 2_600_000, "crossq": 2_000_000, "ppo": 25_000_000}
 """Algorithm -> environment steps of a run, about 40 CPU minutes; the schedules of the recipe end with them."""
 BUDGETS = (2.0, 10.0, 40.0)  # CPU time of the training at which a policy is evaluated, min
 EPISODES = range(130_000, 130_100)  # seeds of the evaluation, used for no choice
