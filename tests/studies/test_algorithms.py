@@ -83,6 +83,23 @@ def test_a_checkpoint_costs_no_cpu_time_and_the_last_step_ends_the_clock(tmp_pat
     assert clock(report(50, [])) and clock.spent == Spent(50, 180.0)
 
 
+def test_the_cpu_time_before_ctrl_c_is_kept(tmp_path, seconds):
+    """The run is saved one rollout after the latest call; a state of fewer steps does not count it."""
+    clock = Clock(tmp_path, 1e3, 1000)
+    clock.keep()
+    assert not (tmp_path / "cpu.csv").exists()
+    for steps, now in ((0, 100.0), (20, 130.0)):
+        seconds[0] = now
+        clock(report(steps, []))
+    clock.keep()
+    assert read_rows(tmp_path / "cpu.csv", Spent) == [Spent(20, 30.0)]
+    for steps, cpu in ((30, 30.0), (10, 0.0)):
+        later = Clock(tmp_path, 1e3, 1000)
+        later(report(steps, []))
+        later.keep()
+        assert later.spent == Spent(steps, cpu)
+
+
 def row(algorithm, seed=None, minutes=None, times=(2.0, 3.0, 4.0), **own):
     """Return a row with these settling times."""
     values = {"cpu": None, "steps": None, "settled": 1.0, "time": float(np.median(times)), "vibration": 1e-4} | own

@@ -91,6 +91,7 @@ class Clock:
         self._spent = read_rows(self._path, Spent) if self._path.is_file() else []
         self._started: float | None = None  # at the first call
         self._saved = 0.0
+        self._latest: Spent | None = None
 
     def __call__(self, report: TrainingReport) -> bool:
         """Return True if the CPU time is spent; keep it before each checkpoint."""
@@ -100,15 +101,21 @@ class Clock:
             self._saved = self._spent[-1].cpu if self._spent else 0.0
             self._started = now - self._saved
         cpu = now - self._started
+        self._latest = Spent(report.steps, cpu)
         ends = cpu >= self._budget or report.steps >= self._last
         if ends or cpu >= self._saved + SAVE_EVERY:
-            self._spent.append(Spent(report.steps, cpu))
-            write_rows(self._spent, self._path, 10)
+            self.keep()
             self._saved = cpu
             if not ends:
                 report.save()
                 self._started += time.process_time() - now
         return ends
+
+    def keep(self) -> None:
+        """Keep the CPU time of the latest call; also after Ctrl-C, which saves the run one rollout later."""
+        if self._latest and self._latest not in self._spent:
+            self._spent.append(self._latest)
+            write_rows(self._spent, self._path, 10)
 
     @property
     def spent(self) -> Spent:
@@ -142,7 +149,10 @@ def run(cell: Cell) -> list[AlgorithmRow]:
         path = cell.folder / f"row-{minutes:g}.csv"
         if not path.is_file():
             clock = Clock(cell.folder, 60.0 * minutes, cell.settings.steps)
-            train_or_resume((cell.settings, str(cell.folder), {"progress": False, "hook": clock}))
+            try:
+                train_or_resume((cell.settings, str(cell.folder), {"progress": False, "hook": clock}))
+            finally:
+                clock.keep()
             spent = clock.spent
             result = evaluated(str(cell.folder))
             write_rows([replace(result, algorithm=cell.settings.algo, seed=float(cell.settings.seed), minutes=minutes,

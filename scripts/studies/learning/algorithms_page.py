@@ -17,14 +17,15 @@ QUESTION = "Which algorithm trains the best policy on a PD in the same CPU time,
 ANSWER = "**{best}** {references}"
 BODY = """{table}
 
-Slews of the known arm of `{environment}`, episodes {first} to {last}, which were used for no choice: settled share,
+Slews of the known arm of `{environment}`, episodes {first} to {final}, which were used for no choice: settled share,
 and median settling time with its 95 % interval (bootstrap over episodes and training seeds, their number in brackets;
 with one seed it lacks the spread between runs). Policies add torques to the PD and observe the true state, which
 `lqr-tracking` has, too; `shaping-flexrrr`, a policy that changes the reference of such a controller, and `planned` also
 have the exact parameters.
 
-CPU time of one core without evaluations. The schedules of learning rate and exploration end after 40 minutes, so that
-policies after 2 and 10 minutes are on the way: a recipe whose schedules end there is better."""
+CPU time of one core without evaluations. The schedules of learning rate and exploration end with the run, after about
+{last:g} minutes{ends}, so that policies after 2 and 10 minutes are on the way: a recipe whose schedules end there is
+better."""
 
 
 class _Result(NamedTuple):
@@ -101,15 +102,21 @@ def page(rows: Sequence[AlgorithmRow], files: Mapping[str, str]) -> str:
             latest = own[max(own)]
             seeds = " / ".join(dict.fromkeys(str(each.seeds) for each in own.values()))
             cells = [own[minutes].text if minutes in own else "" for minutes in BUDGETS]
-            lines.append((f"{TITLES[name]} ({seeds})", *cells, millimetres(latest.vibration)))
+            lines.append((f"{TITLES[name]} ({seeds})", *cells, "", millimetres(latest.vibration)))
     for name in REFERENCES:
         if each := result(rows, name, None):
-            lines.append((f"`{name}`", "", "", each.text, millimetres(each.vibration)))
-    heads = ("agent (seeds)", *(f"{minutes:g} min" for minutes in BUDGETS), "vibration")
+            lines.append((f"`{name}`", *[""] * len(BUDGETS), each.text, millimetres(each.vibration)))
+    heads = ("agent (seeds)", *(f"{minutes:g} min" for minutes in BUDGETS), "not trained here", "vibration")
     body = BODY.format(table="\n".join(markdown_table(heads, lines)), environment=ENVIRONMENT, first=EPISODES.start,
-                       last=EPISODES.stop - 1)  # fmt: skip
+                       final=EPISODES.stop - 1, last=BUDGETS[-1], ends=_ends(rows))  # fmt: skip
     answer = ANSWER.format(best=comparison(rows), references=references(rows))
     return screen("Algorithms at equal CPU time", QUESTION, answer, body, files, "algorithms")
+
+
+def _ends(rows: Sequence[AlgorithmRow]) -> str:
+    """Return the range of the CPU times of the last evaluations; "" without rows."""
+    minutes = sorted(row.cpu / 60.0 for row in rows if row.minutes == BUDGETS[-1] and row.cpu)
+    return f" (here {minutes[0]:.0f} to {minutes[-1]:.0f})" if minutes else ""
 
 
 def _settling(time: float) -> str:
