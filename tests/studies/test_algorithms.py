@@ -175,9 +175,10 @@ def test_the_page_names_the_fastest_and_whether_the_intervals_overlap():
     assert sentence.startswith("After 2 CPU minutes SAC is first with 100 %, 2.50 s") and "not separate" not in sentence
     assert "not separate" in algorithms_page.comparison([*rows, row("tqc", 1.0, 2.0, [2.4] * 3)])
     text = algorithms_page.page([*rows, row("planned")], {"algorithms.csv": "a computer"})
-    assert (
-        "| PPO (1) | 100 % | 100 % | 100 % |" in text and "| `planned` |  |  | 100 %, 3.00 s (2.00 to 4.00) |" in text
-    )
+    assert "| PPO (1) | 100 % | 100 % | 100 % |" in text
+    assert "| `planned` |  |  |  | 100 %, 3.00 s (2.00 to 4.00) |" in text and "minutes, so" in " ".join(text.split())
+    text = algorithms_page.page([*rows, row("sac", 1.0, 40.0, cpu=2040.0)], {"algorithms.csv": "a computer"})
+    assert "after about 40 minutes (here 34 to 34), so" in " ".join(text.split())
     assert algorithms_page.comparison(rows[:3]) == "Not all algorithms have rows yet."
 
 
