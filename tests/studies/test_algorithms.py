@@ -172,13 +172,18 @@ def test_the_page_names_the_fastest_and_whether_the_intervals_overlap():
     rows = [row(name, 0.0, minutes, [time] * 3) for minutes in BUDGETS
             for name, time in (("sac", 2.5), ("tqc", 2.6), ("crossq", 2.7), ("ppo", np.inf))]  # fmt: skip
     sentence = algorithms_page.comparison(rows)
-    assert sentence.startswith("After 2 CPU minutes SAC is first with 100 %, 2.50 s") and "not separate" not in sentence
-    assert "not separate" in algorithms_page.comparison([*rows, row("tqc", 1.0, 2.0, [2.4] * 3)])
+    assert sentence.startswith(
+        "With 1 seed each, after 2 CPU minutes SAC (100 %, 2.50 s) is ahead of TQC (100 %, 2.60 s);"
+    )
+    assert "overlap" not in sentence
+    assert ", intervals overlap;" in algorithms_page.comparison([*rows, row("tqc", 1.0, 2.0, [2.4] * 3)])
     text = algorithms_page.page([*rows, row("planned")], {"algorithms.csv": "a computer"})
     assert "| PPO (1) | 100 % | 100 % | 100 % |" in text
-    assert "| `planned` |  |  |  | 100 %, 3.00 s (2.00 to 4.00) |" in text and "minutes, so" in " ".join(text.split())
+    assert "| `planned` |  |  |  | 100 %, 3.00 s (2.00 to 4.00) |" in text and "about 40 minutes: earlier" in " ".join(
+        text.split()
+    )
     text = algorithms_page.page([*rows, row("sac", 1.0, 40.0, cpu=2040.0)], {"algorithms.csv": "a computer"})
-    assert "after about 40 minutes (here 34 to 34), so" in " ".join(text.split())
+    assert "after about 40 minutes (here 34 to 34): earlier" in " ".join(text.split())
     assert algorithms_page.comparison(rows[:3]) == "Not all algorithms have rows yet."
 
 
@@ -186,7 +191,7 @@ def test_agents_without_training_are_compared_with_the_fastest_policy_of_all_tim
     agents = [row("pd", times=[np.inf] * 3), row("lqr-tracking"), row("planned", times=[2.0] * 3)]
     policies = [row("sac", 0.0, 2.0, [2.4] * 3), row("tqc", 0.0, 10.0, [2.5] * 3)]
     assert algorithms_page.references([*agents, *policies]) == (
-        "The fastest policy, of SAC after 2 minutes (2.40 s), is faster than `pd` (half of the episodes do not settle) "
+        "The fastest policy, of SAC after 2 minutes (2.40 s), is faster than `pd` (half do not settle) "
         "and `lqr-tracking` (3.00 s); training does not pay where `planned` (2.00 s) can be used."
     )
     assert algorithms_page.references(agents) == "There is no policy to compare yet."

@@ -13,19 +13,17 @@ from studies.learning.algorithms import BUDGETS, ENVIRONMENT, EPISODES, RECIPES,
 from studies.screen import screen
 
 TITLES = {"sac": "SAC", "tqc": "TQC", "crossq": "CrossQ", "ppo": "PPO"}
-QUESTION = "Which algorithm trains the best policy on a PD in the same CPU time, and where does training not pay?"
+QUESTION = "Which algorithm trains the best policy in the same CPU time, and where does training not pay?"
 ANSWER = "**{best}** {references}"
 BODY = """{table}
 
-Slews of the known arm of `{environment}`, episodes {first} to {final}, which were used for no choice: settled share,
-and median settling time with its 95 % interval (bootstrap over episodes and training seeds, their number in brackets;
-with one seed it lacks the spread between runs). Policies add torques to the PD and observe the true state, which
-`lqr-tracking` has, too; `shaping-flexrrr`, a policy that changes the reference of such a controller, and `planned` also
-have the exact parameters.
+Slews of the known arm of `{environment}`, episodes {first} to {final}: settled share, median settling time, 95 % interval
+(bootstrap over episodes and training seeds; with one seed without the spread between runs). Policies add torques to the
+PD and observe the true state, as `lqr-tracking` does; `shaping-flexrrr`, a policy on such a controller, and `planned`
+also have the parameters.
 
-CPU time of one core without evaluations. The schedules of learning rate and exploration end with the run, after about
-{last:g} minutes{ends}, so that policies after 2 and 10 minutes are on the way: a recipe whose schedules end there is
-better."""
+CPU time of one core. Schedules end with the run, after about {last:g} minutes{ends}: earlier policies are on the way, and
+better with schedules that end there."""
 
 
 class _Result(NamedTuple):
@@ -39,11 +37,15 @@ class _Result(NamedTuple):
     seeds: int
 
     @property
+    def short(self) -> str:
+        """Settled share and median settling time."""
+        return f"{100 * self.settled:.0f} %" + (f", {self.time:.2f} s" if math.isfinite(self.time) else "")
+
+    @property
     def text(self) -> str:
         """Settled share, median settling time and its interval."""
-        if not math.isfinite(self.time):
-            return f"{100 * self.settled:.0f} %"
-        return f"{100 * self.settled:.0f} %, {self.time:.2f} s ({_seconds(self.low)} to {_seconds(self.high)})"
+        interval = f" ({_seconds(self.low)} to {_seconds(self.high)})" if math.isfinite(self.time) else ""
+        return self.short + interval
 
 
 def result(rows: Iterable[AlgorithmRow], algorithm: str, minutes: float | None) -> _Result | None:
@@ -64,15 +66,17 @@ def best(rows: Sequence[AlgorithmRow], minutes: float) -> list[tuple[str, _Resul
 
 def comparison(rows: Sequence[AlgorithmRow]) -> str:
     """Return a sentence with the fastest policy and the next after each CPU time."""
-    parts = []
+    parts, seeds = [], []
     for minutes in BUDGETS:
         if len(order := best(rows, minutes)) == len(RECIPES):
             (name, first), (other, second) = order[:2]
-            gap = "" if first.high < second.low else ", which the intervals do not separate"
-            parts.append(f"after {minutes:g} CPU minutes {TITLES[name]} is first with {first.text} and {TITLES[other]} "
-                         f"second with {second.text}{gap}")  # fmt: skip
-    text = "; ".join(parts) or "not all algorithms have rows yet"
-    return f"{text[0].upper()}{text[1:]}."
+            overlap = "" if first.high < second.low else ", intervals overlap"
+            seeds += [each.seeds for _, each in order]
+            parts.append(f"after {minutes:g} CPU minutes {TITLES[name]} ({first.short}) is ahead of {TITLES[other]} "
+                         f"({second.short}){overlap}")  # fmt: skip
+    if not parts:
+        return "Not all algorithms have rows yet."
+    return f"With {min(seeds)} seed{'s' * (min(seeds) > 1)} each, {'; '.join(parts)}."
 
 
 def references(rows: Sequence[AlgorithmRow]) -> str:
@@ -120,7 +124,7 @@ def _ends(rows: Sequence[AlgorithmRow]) -> str:
 
 
 def _settling(time: float) -> str:
-    return f"{time:.2f} s" if math.isfinite(time) else "half of the episodes do not settle"
+    return f"{time:.2f} s" if math.isfinite(time) else "half do not settle"
 
 
 def _seconds(value: float) -> str:
