@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 import torch
-from stable_baselines3 import SAC
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import CSVOutputFormat, KVWriter, Logger, TensorBoardOutputFormat
+from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from torch.utils.tensorboard import SummaryWriter
 
 from flexman_agents.settings import Schedule, Settings
@@ -142,8 +142,8 @@ Hook = Callable[[TrainingReport], bool | None]
 class Exploration(BaseCallback):
     """Schedule of the exploration over the training.
 
-    For PPO the schedule sets the logarithm of the standard deviation of the actions, which is then not learned. For SAC
-    the schedule sets the target entropy.
+    For PPO the schedule sets the logarithm of the standard deviation of the actions, which is then not learned. For
+    SAC, TQC and CrossQ the schedule sets the target entropy.
 
     Args:
         schedule: values by progress of the training.
@@ -155,13 +155,13 @@ class Exploration(BaseCallback):
         self._schedule, self._steps = schedule, steps
 
     def _on_training_start(self) -> None:
-        if not isinstance(self.model, SAC):
+        if not isinstance(self.model, OffPolicyAlgorithm):
             self.model.policy.log_std.requires_grad_(False)
 
     def _on_rollout_start(self) -> None:
         value = self._schedule.at(min(1.0, self.num_timesteps / self._steps))
-        if isinstance(self.model, SAC):
-            self.model.target_entropy = value
+        if isinstance(self.model, OffPolicyAlgorithm):
+            self.model.target_entropy = value  # type: ignore[attr-defined]
             return
         with torch.no_grad():
             self.model.policy.log_std.fill_(value)  # type: ignore[operator]

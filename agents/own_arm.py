@@ -26,11 +26,11 @@ BASE_SEEDS = SELECTION_SEEDS[:20]  # seeds of the episodes in which the base is 
 def fit_to_arm(settings: Settings, arm: object, changes: Sequence[str] = ()) -> Settings:
     """Return the settings of a recipe for an arm of the user.
 
-    An action lasts a sixteenth of the median slew. An episode of PPO and SAC lasts twice the settling time of the base
-    controller, so that most samples belong to motions, or eight median slews if the base does not settle. The torques
-    of PPO at random are in proportion to those of a slew. Time constants of the history and ranges of the payload are
-    in proportion to those of the named environment. Control period, horizon, limits, slew time and gains follow from
-    the arm.
+    An action lasts a sixteenth of the median slew. An episode of reinforcement learning lasts twice the settling time
+    of the base controller, so that most samples belong to motions, or eight median slews if the base does not settle.
+    The torques of PPO at random are in proportion to those of a slew. Time constants of the history and ranges of the
+    payload are in proportion to those of the named environment. Control period, horizon, limits, slew time and gains
+    follow from the arm.
 
     Args:
         settings: settings of the recipe.

@@ -7,19 +7,20 @@ from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
-import stable_baselines3 as sb3
 import torch
 from gymnasium.vector import AutoresetMode
 from stable_baselines3 import PPO, SAC, TD3
 from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.save_util import load_from_zip_file
 from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
 
 from flexman_agents.generalist import arm_environments
-from flexman_agents.settings import DEFAULT_HYPERPARAMETERS, Settings
+from flexman_agents.settings import CONTRIB_ALGORITHMS, DEFAULT_HYPERPARAMETERS, Settings
 from flexman_agents.vector import JoinedVecEnv, SB3VecEnv
 from flexman_gym.common import files
 from flexman_gym.common.checks import one_of
+from flexman_gym.common.computer import optional_module
 from flexman_gym.common.errors import value_error
 from flexman_gym.common.files import existing_file
 from flexman_gym.envs.config.configuration import Configuration
@@ -27,9 +28,50 @@ from flexman_gym.evaluation.agent_spec import AgentSpec
 from flexman_gym.evaluation.rollouts import training_seed
 
 ACTIVATION_LAYERS = {"tanh": torch.nn.Tanh, "relu": torch.nn.ReLU}  # name in settings.ACTIVATIONS -> layer
-ALGORITHMS: dict[str, type[BaseAlgorithm]] = {"ppo": sb3.PPO, "sac": sb3.SAC}
 DEFAULT_NET_ARCH = [128, 128]  # units of the hidden layers
-DEFAULT_LOG_STD = {"ppo": -3.0, "sac": -3.0}  # larger noise excites vibrations that last for seconds
+DEFAULT_LOG_STD = -3.0  # larger noise excites vibrations that last for seconds
+DEFAULT_RATES = {"ppo": 2e-4, "sac": 3e-4, "tqc": 3e-4, "crossq": 1e-3}  # algorithm -> learning rate
+# algorithm -> hyperparameters that belong to its policy
+POLICY_HYPERPARAMETERS: dict[str, tuple[str, ...]] = {
+    "ppo": ("ortho_init",), "sac": ("n_critics",), "tqc": ("n_critics", "n_quantiles"), "crossq": ("n_critics",),
+}  # fmt: skip
+NO_HYPERPARAMETERS = {  # arguments of an algorithm that the settings, or the run, determine
+    "self", "policy", "env", "policy_kwargs", "seed", "device", "tensorboard_log", "verbose", "_init_setup_model",
+}  # fmt: skip
+CRITIC_NORM = ("sac", "tqc")  # algorithms with the hyperparameter critic_norm
+
+
+def algorithm_class(algo: str) -> type[BaseAlgorithm]:
+    """Return the class of an algorithm of Stable-Baselines3: "ppo", "sac", "td3", "tqc" or "crossq".
+
+    Raises:
+        ImportError: for TQC and CrossQ without sb3-contrib.
+    """
+    own: dict[str, type[BaseAlgorithm]] = {"ppo": PPO, "sac": SAC, "td3": TD3}
+    if algo not in CONTRIB_ALGORITHMS:
+        return own[algo]
+    contrib = optional_module("sb3_contrib", f"algo: {algo}", "train")
+    result: type[BaseAlgorithm] = {"tqc": contrib.TQC, "crossq": contrib.CrossQ}[algo]
+    return result
+
+
+class _NormedCritics:
+    """Layer normalisation before the activations of the critics, a part of a policy of SAC or TQC."""
+
+    def make_critic(self, features_extractor: Any = None) -> Any:
+        critic: Any = super().make_critic(features_extractor)  # type: ignore[misc]
+        for network in critic.q_networks:
+            hidden = [i for i, layer in enumerate(network[:-1]) if isinstance(layer, torch.nn.Linear)]
+            for i in reversed(hidden):
+                network.insert(i + 1, torch.nn.LayerNorm(network[i].out_features, device=critic.device))
+        return critic
+
+
+def _policy_class(algorithm: Any, normed: bool) -> type[BasePolicy]:
+    """Return the class of the policies of an algorithm; with layer normalisation in the critics if `normed`."""
+    plain: type[BasePolicy] = algorithm.policy_aliases["MlpPolicy"]
+    # of the same name: a zip names it, and contains it
+    return type(plain.__name__, (_NormedCritics, plain), {}) if normed else plain
 
 
 def make_model(settings: Settings, device: str = "cpu") -> BaseAlgorithm:
@@ -45,9 +87,11 @@ def make_model(settings: Settings, device: str = "cpu") -> BaseAlgorithm:
         allowed = f"a device that PyTorch finds on this computer, such as cpu ({str(error).splitlines()[0]})"
         raise value_error("device", device, allowed) from None
     torch.set_num_threads(1)  # for networks of this size, two threads are many times slower than one
-    chosen = _algorithm_arguments(settings)
+    algorithm = algorithm_class(settings.algo)
+    chosen = _algorithm_arguments(settings, algorithm)
+    policy = _policy_class(algorithm, chosen.pop("critic_norm", False))
     env = VecNormalize(_make_environments(settings), norm_reward=settings.normalise_reward, gamma=chosen["gamma"])
-    model = ALGORITHMS[settings.algo]("MlpPolicy", env, seed=settings.seed, device=device, **chosen)
+    model = algorithm(policy, env, seed=settings.seed, device=device, **chosen)
     if chosen["policy_kwargs"].get("ortho_init") is False:  # else Stable-Baselines3 starts with large actions, not zero
         for values in model.policy.action_net.parameters():  # type: ignore[union-attr]
             torch.nn.init.zeros_(values)
@@ -70,29 +114,31 @@ def _make_vector(environment: Configuration, envs: int) -> SB3VecEnv:
     return SB3VecEnv(gym.make_vec(environment.id, envs, "vector_entry_point", **keywords))
 
 
-def _algorithm_arguments(settings: Settings) -> dict[str, Any]:
-    """Return the keyword arguments of an algorithm: defaults, the hyperparameters of the settings, and schedules."""
-    arguments = DEFAULT_HYPERPARAMETERS[settings.algo] | dict(settings.hyperparameters)
-    policy_arguments = {"net_arch": arguments.pop("net_arch", DEFAULT_NET_ARCH)}
-    policy_arguments["log_std_init"] = arguments.pop("log_std_init", DEFAULT_LOG_STD[settings.algo])
-    if "ortho_init" in arguments:
-        policy_arguments["ortho_init"] = arguments.pop("ortho_init")
+def _algorithm_arguments(settings: Settings, algorithm: type[BaseAlgorithm]) -> dict[str, Any]:
+    """Return the keyword arguments of an algorithm, and `critic_norm`: defaults, hyperparameters, and schedules."""
+    algo = settings.algo
+    arguments = DEFAULT_HYPERPARAMETERS[algo] | dict(settings.hyperparameters)
+    own = {"net_arch": DEFAULT_NET_ARCH, "log_std_init": DEFAULT_LOG_STD}
+    names = (*own, *POLICY_HYPERPARAMETERS[algo])
+    policy_arguments = own | {name: arguments.pop(name) for name in names if name in arguments}
     if "activation" in arguments:
         policy_arguments["activation_fn"] = ACTIVATION_LAYERS[arguments.pop("activation")]
     rate = settings.schedule("learning_rate")
     if rate is not None:
         arguments["learning_rate"] = rate
-    arguments.setdefault("learning_rate", 2e-4 if settings.algo == "ppo" else 3e-4)
-    known = set(signature(ALGORITHMS[settings.algo].__init__).parameters) - {"self", "policy", "env", "policy_kwargs"}
+    arguments.setdefault("learning_rate", DEFAULT_RATES[algo])
+    known = set(signature(algorithm.__init__).parameters) - NO_HYPERPARAMETERS
+    known |= {*names, "activation", *(["critic_norm"] if algo in CRITIC_NORM else [])}
     for name in arguments:
-        one_of("hyperparameters", name, sorted(known | {"net_arch", "log_std_init", "ortho_init", "activation"}))
-    if settings.algo == "ppo":
+        one_of("hyperparameters", name, sorted(known))
+    if algo == "ppo":
         arguments["batch_size"] = min(arguments["batch_size"], arguments["n_steps"] * settings.envs)
     return arguments | {"policy_kwargs": policy_arguments}
 
 
 # Class of the policy in a zip -> algorithm; the zip does not name the algorithm.
-POLICY_CLASSES: dict[str, type[BaseAlgorithm]] = {"ActorCriticPolicy": PPO, "SACPolicy": SAC, "TD3Policy": TD3}
+POLICY_CLASSES = {"ActorCriticPolicy": "ppo", "SACPolicy": "sac", "TQCPolicy": "tqc", "CrossQPolicy": "crossq",
+                  "TD3Policy": "td3"}  # fmt: skip
 LOADING_ERRORS = (*files.READ_ERRORS, RuntimeError, AssertionError, ImportError, pickle.UnpicklingError)
 
 
@@ -118,7 +164,7 @@ def load_sb3(path: Path, environment: Configuration | None = None) -> AgentSpec:
 def _load_zip(path: Path, environment: Configuration | None) -> AgentSpec:
     statistics = existing_file(path).with_suffix(".pkl")
     kind = load_from_zip_file(path)[0]["policy_class"].__name__  # type: ignore[index]
-    model: BaseAlgorithm = POLICY_CLASSES[one_of("policy", kind, POLICY_CLASSES)].load(path, device="cpu")
+    model = algorithm_class(POLICY_CLASSES[one_of("policy", kind, POLICY_CLASSES)]).load(path, device="cpu")
     agent = AgentSpec.from_predictor(model, environment)
     if not statistics.is_file():
         return replace(agent, name=path.stem)

@@ -20,20 +20,27 @@ from flexman_gym.envs.config.configuration import Configuration
 
 OPTIONAL = ("training_horizon", "arms")  # settings that a file lacks where they are None
 RECORDED_PACKAGES = ("flexman_gym", "gymnasium", "numba", "numpy", "scipy", "stable-baselines3", "torch")
-ALGORITHMS = ("ppo", "sac", "dagger")
-DEFAULT_ENVS = {"ppo": 64, "sac": 16, "dagger": 128}  # algorithm -> parallel arms
+OFF_POLICY = ("sac", "tqc", "crossq")  # algorithms with a replay buffer, actor, critics, and entropy coefficient
+ALGORITHMS = ("ppo", *OFF_POLICY, "dagger")
+CONTRIB = "sb3-contrib"  # package of TQC and CrossQ
+CONTRIB_ALGORITHMS = ("tqc", "crossq")
+DEFAULT_ENVS = {"ppo": 64, **dict.fromkeys(OFF_POLICY, 16), "dagger": 128}  # algorithm -> parallel arms
 MAX_ENVS, MAX_STEPS, MAX_SEED, MAX_WIDTH = 4096, 10**10, 2**31, 10**5
 WHOLE_HYPERPARAMETERS = (  # whole numbers
-    "n_steps", "batch_size", "n_epochs", "learning_starts", "buffer_size", "updates", "iterations_kept",
+    "n_steps", "batch_size", "n_epochs", "learning_starts", "buffer_size", "updates", "iterations_kept", "policy_delay",
+    "n_critics", "n_quantiles", "top_quantiles_to_drop_per_net",
 )  # fmt: skip
+MAY_BE_ZERO = ("learning_starts", "top_quantiles_to_drop_per_net")
 FRACTION_HYPERPARAMETERS = ("gamma", "gae_lambda", "tau")  # numbers > 0, at most 1
 ACTIVATIONS = ("tanh", "relu")
-SCHEDULES = {"learning_rate": ALGORITHMS, "log_std": ("ppo",), "target_entropy": ("sac",)}  # name -> its algorithms
-EXPLORATION_SCHEDULES = ("log_std", "target_entropy")  # for PPO, for SAC
+NET_ARCH_KEYS = {"ppo": ("pi", "vf"), **dict.fromkeys(OFF_POLICY, ("pi", "qf"))}  # names of networks: policy, critic
+SCHEDULES = {"learning_rate": ALGORITHMS, "log_std": ("ppo",), "target_entropy": OFF_POLICY}  # name -> its algorithms
+EXPLORATION_SCHEDULES = ("log_std", "target_entropy")  # for PPO, for OFF_POLICY
+QUANTILES, DROPPED = 25, 2  # of each critic of TQC, defaults of sb3-contrib: number, and largest ones left out
 DEFAULT_HYPERPARAMETERS: dict[str, dict[str, Any]] = {
     # large batches: with small batches the optimiser takes more time than the simulation
     "ppo": {"n_steps": 128, "batch_size": 1024, "n_epochs": 5, "gamma": 0.999, "gae_lambda": 0.99},
-    "sac": {"batch_size": 256, "gamma": 0.99, "learning_starts": 2000},
+    **{algo: {"batch_size": 256, "gamma": 0.99, "learning_starts": 2000} for algo in OFF_POLICY},
     "dagger": {
         "teacher": "privileged-lqr",
         "updates": 400,
@@ -80,17 +87,18 @@ class Settings:
     """Settings of a training run, complete enough to repeat it.
 
     Attributes:
-        algo: "ppo", "sac", or "dagger" for imitation learning (see `imitation.DAgger`).
+        algo: "ppo", "sac", "tqc", "crossq", or "dagger" for imitation learning (see `imitation.DAgger`).
         environment: Configuration, or its mapping; `base` and `action_repeat` in it belong to the agent.
         steps: environment steps, or actions, summed over all arms; an action lasts `action_repeat` control periods.
         seed: seed of the episodes, the exploration and the initial network parameters.
-        envs: number of parallel arms; None for 64 with PPO, 16 with SAC and 128 with DAgger.
-        hyperparameters: hyperparameters under their names in Stable-Baselines3; net_arch, activation, log_std_init and
-            ortho_init are passed to the policy. Hyperparameters of DAgger: teacher, updates (gradient steps per
+        envs: number of parallel arms; None for 64 with PPO, 128 with DAgger and 16 otherwise.
+        hyperparameters: hyperparameters under their names in Stable-Baselines3; net_arch, activation, log_std_init,
+            ortho_init, n_critics and n_quantiles are passed to the policy. critic_norm is True for layer normalisation
+            in the critics of SAC and TQC. Hyperparameters of DAgger: teacher, updates (gradient steps per
             iteration), batch_size, iterations_kept (latest iterations in the training set), net_arch, activation,
             learning_rate.
         schedules: name -> mapping with start, end and until. Names: "learning_rate"; "log_std" of PPO, which is then
-            not learned; "target_entropy" of SAC.
+            not learned; "target_entropy" of SAC, TQC and CrossQ.
         normalise_reward: True to divide rewards by the running standard deviation of the return; observations are
             always normalised.
         eval_every: environment steps between evaluations on the selection seeds, by which the best policy is saved; 0
@@ -127,12 +135,13 @@ class Settings:
                 raise value_error(name, getattr(self, name), "a mapping")
         for name in self.schedules:
             if self.algo not in SCHEDULES[one_of("schedules", name, SCHEDULES)]:
-                raise value_error(f"schedules.{name}", self.algo, f"it with {' and '.join(SCHEDULES[name])} only")
+                raise value_error(f"schedules.{name}", self.algo, f"it with {', '.join(SCHEDULES[name])} only")
             self.schedule(name)
         if self.base_in_use is not None:
             parse_kind("base", self.base_in_use, BASES)
         for name, value in self.hyperparameters.items():
-            _check(f"hyperparameters.{name}", name, value)
+            _check(f"hyperparameters.{name}", name, value, self.algo)
+        self._check_quantiles()
         if self.training_horizon is not None:
             if self.algo == "dagger":
                 raise value_error("training_horizon", self.training_horizon, "None for dagger")
@@ -162,6 +171,13 @@ class Settings:
                 raise value_error(name, getattr(self, name), f"{allowed} for a training over random arms")
         if self.envs % arms:
             raise value_error("envs", self.envs, f"a multiple of the number of arms, {arms}")
+
+    def _check_quantiles(self) -> None:
+        """Raise ValueError if TQC leaves out all quantiles of its critics."""
+        count = self.hyperparameters.get("n_quantiles", QUANTILES)
+        name = "top_quantiles_to_drop_per_net"
+        if self.algo == "tqc" and (dropped := self.hyperparameters.get(name, DROPPED)) >= count:
+            raise value_error(f"hyperparameters.{name}", dropped, f"a whole number below n_quantiles, {count}")
 
     @property
     def training_environment(self) -> Configuration:
@@ -231,7 +247,8 @@ class Settings:
             folder: folder of the run.
             done: environment steps so far, for which the versions recorded earlier were used.
         """
-        now = {name: version(name) for name in RECORDED_PACKAGES} | {"python": platform.python_version()}
+        packages = (*RECORDED_PACKAGES, *([CONTRIB] if self.algo in CONTRIB_ALGORITHMS else []))
+        now = {name: version(name) for name in packages} | {"python": platform.python_version()}
         path = folder / SETTINGS
         kept = read_settings(folder) if path.is_file() else {}
         earlier, last = kept.get("earlier_versions", []), kept.get("versions", now)
@@ -248,23 +265,29 @@ class Settings:
         return replace(self, seed=seed)
 
 
-def _check(field: str, name: str, value: object) -> None:
+def _check(field: str, name: str, value: object, algo: str) -> None:
     """Check a hyperparameter whose wrong value would fail only after the training has started."""
     if name in WHOLE_HYPERPARAMETERS:
-        whole_number(field, value, 1 - (name == "learning_starts"), MAX_STEPS)
+        whole_number(field, value, 1 - (name in MAY_BE_ZERO), MAX_STEPS)
     elif name in FRACTION_HYPERPARAMETERS and not positive(field, value) <= 1.0:
         raise value_error(field, value, "a number > 0, at most 1")
     elif name == "learning_rate":
         positive(field, value)
     elif name == "activation":
         one_of(field, value, ACTIVATIONS)
-    elif name == "ortho_init":
+    elif name in ("ortho_init", "critic_norm"):
         flag(field, value)
     elif name == "teacher":
         parse_kind("base", value, BASES)
-    elif name == "net_arch" and not isinstance(value, dict):
-        for i, width in enumerate(sequence(field, value, "widths of layers")):
-            whole_number(f"{field}[{i}]", width, 1, MAX_WIDTH)
+    elif name == "net_arch":
+        keys = NET_ARCH_KEYS.get(algo, ())
+        if isinstance(value, dict) and value.keys() != {*keys}:
+            allowed = f"a list of widths, or a mapping with {' and '.join(keys)}" if keys else "a list of widths"
+            raise value_error(field, value, allowed)
+        for part, widths in value.items() if isinstance(value, dict) else (("", value),):
+            own = f"{field}.{part}" if part else field
+            for i, width in enumerate(sequence(own, widths, "widths of layers")):
+                whole_number(f"{own}[{i}]", width, 1, MAX_WIDTH)
 
 
 RECIPE_FOLDER = Path(__file__).parent / "recipes"

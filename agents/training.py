@@ -1,4 +1,4 @@
-"""Training of PPO, SAC or DAgger in a run folder, saved with its complete state for exact resumption."""
+"""Training in a run folder, saved with its complete state for exact resumption."""
 
 import random
 import sys
@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from stable_baselines3 import SAC
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
@@ -90,8 +89,8 @@ def _training_state(model: BaseAlgorithm) -> dict[str, Any]:
     normaliser, _, arms = _layers(model)
     result["returns"] = {"statistics": _statistics_state(normaliser.ret_rms), "running": normaliser.returns.copy()}
     result["environment"] = arms.get_state()
-    if isinstance(model, SAC):
-        coefficient = model.log_ent_coef
+    if isinstance(model, OffPolicyAlgorithm):
+        coefficient = model.log_ent_coef  # type: ignore[attr-defined]
         result["entropy"] = None if coefficient is None else coefficient.detach().numpy().copy()
         result["replay"] = _replay_state(model)
     return result
@@ -101,7 +100,7 @@ def _set_training_state(model: BaseAlgorithm, data: Any) -> None:
     """Restore the state of a training in a model made from the same settings."""
     attributes, (normaliser, _, arms) = _attributes(model), _layers(model)
     names = [*attributes, "optimizers", "episodes", "random", "returns", "environment"]
-    _check(data, names + ["entropy", "replay"] * isinstance(model, SAC))
+    _check(data, names + ["entropy", "replay"] * isinstance(model, OffPolicyAlgorithm))
     for part, (_, fields) in attributes.items():
         _check(data[part], fields, part)
     arms.set_state(data["environment"])
@@ -115,10 +114,11 @@ def _set_training_state(model: BaseAlgorithm, data: Any) -> None:
     model.ep_success_buffer = deque(maxlen=model._stats_window_size)  # the tasks report no success
     _set_statistics("returns", normaliser.ret_rms, data["returns"]["statistics"])
     set_state("returns", normaliser.returns, data["returns"]["running"])
-    if isinstance(model, SAC):
-        if model.log_ent_coef is not None:
-            logarithm = model.log_ent_coef.detach().numpy().copy()
-            model.log_ent_coef.data = torch.as_tensor(set_state("entropy", logarithm, data["entropy"]))
+    if isinstance(model, OffPolicyAlgorithm):
+        coefficient = model.log_ent_coef  # type: ignore[attr-defined]
+        if coefficient is not None:
+            logarithm = coefficient.detach().numpy().copy()
+            coefficient.data = torch.as_tensor(set_state("entropy", logarithm, data["entropy"]))
         _set_replay_state(model, data["replay"])
     _set_random_state(data["random"])
 
@@ -183,11 +183,12 @@ def _set_statistics(field: str, moments: Any, data: Any) -> None:
         setattr(moments, name, result if result.ndim else result.item() if name == "count" else np.float64(result))
 
 
-def _optimizers(model: BaseAlgorithm) -> dict[str, torch.optim.Optimizer]:
-    if not isinstance(model, SAC):
+def _optimizers(model: Any) -> dict[str, torch.optim.Optimizer]:
+    if not isinstance(model, OffPolicyAlgorithm):
         return {"policy": model.policy.optimizer}
-    result = {"actor": model.actor.optimizer, "critic": model.critic.optimizer}
-    return result | ({"entropy": model.ent_coef_optimizer} if model.ent_coef_optimizer else {})
+    trained: Any = model
+    result = {"actor": trained.actor.optimizer, "critic": trained.critic.optimizer}
+    return result | ({"entropy": trained.ent_coef_optimizer} if trained.ent_coef_optimizer else {})
 
 
 def _set_optimizer_state(field: str, optimizer: torch.optim.Optimizer, data: Any) -> None:
@@ -198,7 +199,7 @@ def _set_optimizer_state(field: str, optimizer: torch.optim.Optimizer, data: Any
     optimizer.load_state_dict({"state": state, "param_groups": plain["param_groups"]})
 
 
-def _replay_state(model: SAC) -> dict[str, Any]:
+def _replay_state(model: OffPolicyAlgorithm) -> dict[str, Any]:
     buffer: Any = model.replay_buffer
     rows = buffer.buffer_size if buffer.full else buffer.pos
     return {"pos": int(buffer.pos), "full": bool(buffer.full)} | {
@@ -206,7 +207,7 @@ def _replay_state(model: SAC) -> dict[str, Any]:
     }
 
 
-def _set_replay_state(model: SAC, data: Any) -> None:
+def _set_replay_state(model: OffPolicyAlgorithm, data: Any) -> None:
     buffer: Any = model.replay_buffer
     rows = buffer.buffer_size if data["full"] else data["pos"]
     for name in REPLAY_FIELDS:

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-FEATURES = ("flexman_gym.toolbox", "flexman_gym.commands", "flexman_agents", "studies", "torch", "stable_baselines3")
+FEATURES = ("flexman_gym.toolbox", "flexman_gym.commands", "flexman_agents", "studies", "torch", "stable_baselines3",
+            "sb3_contrib")  # fmt: skip
 MISSING = re.compile(r"could not import|No module named|is not installed")  # reasons of skips for a missing package
 
 

@@ -15,7 +15,7 @@ PACKAGE = Path(flexman_gym.__file__).parent
 ROOT = PACKAGE.parent
 MOST_LINES, MOST_FUNCTION_LINES = 500, 50
 OURS = {"flexman_gym", "flexman_agents", "studies"}
-HEAVY = {"torch", "stable_baselines3", "matplotlib", "pyvista", "ray"}
+HEAVY = {"torch", "stable_baselines3", "sb3_contrib", "matplotlib", "pyvista", "ray"}
 FILES = sorted(path for folder in (PACKAGE, ROOT / "agents", ROOT / "scripts") for path in folder.rglob("*.py"))
 TESTS = sorted(Path(__file__).parent.rglob("*.py"))
 

@@ -1,6 +1,7 @@
-"""Policy network in NumPy: layers and observation statistics of a policy trained by PPO, DAgger or SAC."""
+"""Policy network in NumPy: layers and observation statistics of a trained policy."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -16,11 +17,14 @@ ACTIVATION_FUNCTIONS: dict[str, Callable[[Array], Array]] = {
 }
 MAX_INPUT = 10.0  # dimensionless; largest magnitude of a normalised observation
 VARIANCE_OFFSET = 1e-8  # added to variances to avoid division by zero
+RENORM_OFFSET = 1e-3  # added to the variances of a batch renormalisation, as in sb3-contrib
+RENORM_PARTS = ("ra_mean", "ra_var", "scale", "bias")  # running mean and variance, learned scale and shift
+RENORM_COUNTER = "steps"  # number of updates of the running statistics
 # algorithm -> prefix of its layers, name of the last layer, default activation, output function
 LAYER_NAMES: dict[str, tuple[str, str, str, Callable[[Array], Array]]] = {
     "ppo": ("mlp_extractor.policy_net.", "action_net", "tanh", lambda values: np.clip(values, -1.0, 1.0)),
     "dagger": ("mlp_extractor.policy_net.", "action_net", "tanh", lambda values: np.clip(values, -1.0, 1.0)),
-    "sac": ("actor.latent_pi.", "actor.mu", "relu", np.tanh),
+    **dict.fromkeys(("sac", "tqc", "crossq"), ("actor.latent_pi.", "actor.mu", "relu", np.tanh)),
 }
 
 
@@ -30,9 +34,10 @@ class Network:
     The action for an observation does not depend on the other observations of the batch, to the last bit.
 
     Args:
-        algo: "ppo", "dagger" or "sac", which defines the names of the parameters.
+        algo: "ppo", "dagger", "sac", "tqc" or "crossq", which defines the names of the parameters.
         activation: "tanh" or "relu"; None for the default of the algorithm.
-        parameters: name -> array, with the names of Stable-Baselines3.
+        parameters: name -> array, with the names of Stable-Baselines3. The batch renormalisations of CrossQ are merged
+            into the layers.
         statistics: "mean" and "var" (variance) of observations, (size,) each.
 
     Attributes:
@@ -55,12 +60,13 @@ class Network:
         self.activation = one_of("activation", activation or default, ACTIVATION_FUNCTIONS)
         self.squashed = self._output is np.tanh
         self._function = ACTIVATION_FUNCTIONS[self.activation]
-        result = {name: _finite(f"policy.{name}", each) for name, each in _mapping("policy", parameters).items()}
+        given = _mapping("policy", parameters)
+        result = policy_parameters(algo, {name: _finite(f"policy.{name}", each) for name, each in given.items()
+                                          if not name.endswith(f".{RENORM_COUNTER}")})  # fmt: skip
         moments = _mapping("statistics", statistics)
         self.mean = _finite("statistics.mean", moments.get("mean"))
         self.scale = 1.0 / np.sqrt(_finite("statistics.var", moments.get("var"), 0.0) + VARIANCE_OFFSET)
-        numbers = sorted({int(name[len(first) :].split(".")[0]) for name in result if _is_layer(name, first)})
-        self.layers = [_layer(result, name) for name in (*(f"{first}{number}" for number in numbers), last)]
+        self.layers = [_layer(result, name) for name in _layer_names(result, first, last)]
         sizes = [self.mean.size, *(len(bias) for _, bias in self.layers)]
         for (weights, _), size in zip(self.layers, sizes, strict=False):
             if weights.shape[1] != size:
@@ -99,9 +105,44 @@ class Network:
 
 
 def policy_parameters(algo: str, parameters: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the parameters of the policy network alone, without critics and exploration."""
+    """Return the parameters of the layers of the policy alone, without critics and exploration.
+
+    Batch renormalisations are merged into the layers that follow them: evaluated with running statistics, they are
+    affine.
+
+    Args:
+        algo: algorithm of the training.
+        parameters: name -> array, with the names of Stable-Baselines3.
+
+    Raises:
+        ValueError: for a batch renormalisation that does not fit the layer that follows it.
+    """
     first, last, *_ = LAYER_NAMES[one_of("algo", algo, LAYER_NAMES)]
-    return {name: each for name, each in parameters.items() if _is_layer(name, first) or name.startswith(f"{last}.")}
+    result = {name: each for name, each in parameters.items() if _is_layer(name, first) or name.startswith(f"{last}.")}
+    for name, following in pairwise(_layer_names(result, first, last)):
+        if f"{name}.{RENORM_PARTS[0]}" in result:
+            own = [result.pop(f"{name}.{part}", None) for part in (*RENORM_PARTS, RENORM_COUNTER)][:-1]
+            layer = {f"{following}.{part}": result.get(f"{following}.{part}") for part in ("weight", "bias")}
+            result |= dict(zip(layer, _merged(f"policy.{name}", own, [*layer.values()]), strict=True))
+    return result
+
+
+def _merged(field: str, renorm: Sequence[Any], layer: Sequence[Any]) -> tuple[Array, Array]:
+    """Return weights and bias of a layer, with the batch renormalisation of its inputs merged into them."""
+    shapes = [np.shape(each) for each in (*renorm, *layer)]
+    if len(shapes[-2]) != 2 or shapes != [shapes[-2][1:]] * len(renorm) + [shapes[-2], shapes[-2][:1]]:
+        raise value_error(field, f"arrays {shapes}", f"{', '.join(RENORM_PARTS)} of the inputs of the next layer")
+    mean, variance, scale, shift, weights, bias = (np.asarray(each, dtype=np.float64) for each in (*renorm, *layer))
+    if not (variance >= 0.0).all():
+        raise value_error(f"{field}.ra_var", "a number out of range", "finite numbers >= 0")
+    factor = scale / np.sqrt(variance + RENORM_OFFSET)
+    return weights * factor, bias + weights @ (shift - factor * mean)
+
+
+def _layer_names(parameters: Collection[str], first: str, last: str) -> list[str]:
+    """Return the names of the layers in the order of their numbers."""
+    numbers = sorted({int(name[len(first) :].split(".")[0]) for name in parameters if _is_layer(name, first)})
+    return [*(f"{first}{number}" for number in numbers), last]
 
 
 def _is_layer(name: str, first: str) -> bool:

@@ -1,4 +1,4 @@
-"""Train a policy with PPO, SAC or DAgger."""
+"""Train a policy with PPO, SAC, TQC, CrossQ or DAgger."""
 
 import argparse
 import sys

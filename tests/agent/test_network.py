@@ -50,9 +50,19 @@ def test_layers_follow_on_each_other_by_their_numbers():
     assert result(SEEN[:, :2]) == pytest.approx(values, abs=1e-7)
 
 
+def randomise_statistics(policy):
+    """Give the batch renormalisations of CrossQ statistics and factors that change what they return."""
+    random, state = np.random.default_rng(2), policy.state_dict()
+    for name in (each.removesuffix("ra_var") for each in state if each.endswith("ra_var")):
+        for part, values in (("ra_var", random.uniform(0.3, 3.0)), ("scale", random.uniform(0.5, 2.0)),
+                             ("ra_mean", random.normal()), ("bias", random.normal())):  # fmt: skip
+            array = state[name + part]
+            array[:] = array.new_tensor(values + np.linspace(0.0, 0.5, len(array)))
+
+
 @pytest.mark.feature
 @pytest.mark.slow
-@pytest.mark.parametrize("algo", ["ppo", "sac"])
+@pytest.mark.parametrize("algo", ["ppo", "sac", "tqc", "crossq"])
 @pytest.mark.parametrize("activation", ["tanh", "relu"])
 def test_it_acts_as_the_policy_that_was_trained(algo, activation, tmp_path):
     pytest.importorskip("stable_baselines3")
@@ -66,6 +76,7 @@ def test_it_acts_as_the_policy_that_was_trained(algo, activation, tmp_path):
     statistics = model.get_vec_normalize_env()
     size = len(statistics.obs_rms.mean)
     statistics.obs_rms.mean, statistics.obs_rms.var = np.linspace(-1, 1, size), np.linspace(0.1, 2, size)
+    randomise_statistics(model.policy)
     data = policy_state(model)
     seen = np.random.default_rng(0).normal(size=(20, size)).astype(np.float32)
     result = Network(algo, activation, data["policy"], data["statistics"])
@@ -90,6 +101,36 @@ def test_what_has_no_number_is_no_layer(number):
     seen = np.random.default_rng(0).normal(size=(3, len(STATISTICS["mean"])))
     with_it, without = (Network("ppo", None, parameters("ppo") | each, STATISTICS) for each in (more, {}))
     assert np.array_equal(with_it(seen), without(seen)) and policy_parameters("ppo", more) == {}
+
+
+RENORMED = {  # layers of 6, 4 and 2 numbers, each after a batch renormalisation
+    **{f"actor.latent_pi.{number}.{part}": np.full(size, value) for number, size in ((0, 6), (3, 4))
+       for part, value in (("ra_mean", 0.5), ("ra_var", 4.0), ("scale", 3.0), ("bias", -1.0))},
+    **{f"actor.latent_pi.{number}.steps": np.array(7) for number in (0, 3)},
+    "actor.latent_pi.1.weight": np.ones((4, 6)), "actor.latent_pi.1.bias": np.zeros(4),
+    "actor.mu.weight": np.eye(2, 4), "actor.mu.bias": np.zeros(2),
+}  # fmt: skip
+
+
+def test_a_batch_renormalisation_is_merged_into_the_next_layer():
+    layers = policy_parameters("crossq", RENORMED)
+    factor = 3.0 / np.sqrt(4.001)
+    assert sorted(layers) == [f"actor.{name}.{part}" for name in ("latent_pi.1", "mu") for part in ("bias", "weight")]
+    assert layers["actor.mu.weight"] == pytest.approx(factor * np.eye(2, 4), rel=1e-15)
+    assert layers["actor.latent_pi.1.bias"] == pytest.approx(np.full(4, 6.0 * (-1.0 - 0.5 * factor)), rel=1e-15)
+    merged, renormed = (Network("crossq", None, each, STATISTICS) for each in (layers, RENORMED))
+    assert np.array_equal(merged(SEEN), renormed(SEEN))
+
+
+@pytest.mark.parametrize(("part", "value", "line"), [
+    ("ra_mean", np.zeros(5), "policy.actor.latent_pi.3: "), ("bias", None, "policy.actor.latent_pi.3: "),
+    ("ra_var", -np.ones(4), "policy.actor.latent_pi.3.ra_var: 'a number out of range' is not allowed; give finite"),
+    ("scale", np.full(4, np.nan), "policy.actor.latent_pi.3.scale: "),
+])  # fmt: skip
+def test_a_batch_renormalisation_that_does_not_fit_is_refused(part, value, line):
+    given = {**RENORMED, f"actor.latent_pi.3.{part}": value}
+    given = {name: each for name, each in given.items() if each is not None}
+    assert refusal(Network, "crossq", None, given, STATISTICS).startswith(line)
 
 
 def test_missing_parts_are_refused():

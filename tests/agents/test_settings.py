@@ -70,6 +70,17 @@ def test_sac_may_learn_from_its_first_step():
     assert Settings("sac", hyperparameters={"learning_starts": 0}).hyperparameters == {"learning_starts": 0}
 
 
+def test_tqc_may_keep_all_its_quantiles():
+    values = {"top_quantiles_to_drop_per_net": 0, "n_quantiles": 1}
+    assert Settings("tqc", hyperparameters=values).hyperparameters == values
+
+
+@pytest.mark.parametrize(("algo", "recorded"), [("sac", False), ("tqc", True), ("crossq", True)])
+def test_the_version_of_sb3_contrib_is_recorded_for_its_algorithms(algo, recorded, tmp_path):
+    Settings(algo).write(tmp_path, 0)
+    assert ("sb3-contrib" in json.loads((tmp_path / "settings.json").read_text())["versions"]) == recorded
+
+
 @pytest.mark.parametrize("name", RECIPES)
 def test_every_recipe_can_be_read_and_trained(name):
     settings = find_recipe(name)
@@ -107,7 +118,31 @@ def test_every_recipe_can_be_read_and_trained(name):
         ({"algo": "sac", "schedules": {"log_std": {"start": -1, "end": -4}}}, "schedules.log_std: 'sac' is not all"),
         (
             {"schedules": {"target_entropy": {"start": -1, "end": -4}}},
-            "schedules.target_entropy: 'ppo' is not allowed; give it with sac only",
+            "schedules.target_entropy: 'ppo' is not allowed; give it with sac, tqc, crossq only",
+        ),
+        (
+            {"algo": "tqc", "hyperparameters": {"top_quantiles_to_drop_per_net": 25}},
+            "hyperparameters.top_quantiles_to_drop_per_net: 25 is not allowed; give a whole number below n_quant",
+        ),
+        (
+            {"algo": "crossq", "hyperparameters": {"policy_delay": 0}},
+            "hyperparameters.policy_delay: 0 is not allowed; ",
+        ),
+        (
+            {"algo": "sac", "hyperparameters": {"critic_norm": 1}},
+            "hyperparameters.critic_norm: 1 is not allowed; give tr",
+        ),
+        (
+            {"algo": "sac", "hyperparameters": {"net_arch": {"pi": [8], "vf": [8]}}},
+            "hyperparameters.net_arch: {'pi': [8], 'vf': [8]} is not allowed; give a list of widths, or a mapping",
+        ),
+        (
+            {"algo": "tqc", "hyperparameters": {"net_arch": {"pi": [8], "qf": [0]}}},
+            "hyperparameters.net_arch.qf[0]: 0 is not allowed; give a whole number from 1",
+        ),
+        (
+            {"algo": "dagger", "hyperparameters": {"net_arch": {"pi": [8]}}},
+            "hyperparameters.net_arch: {'pi': [8]} is not allowed; give a list of widths",
         ),
     ],
 )

@@ -1,12 +1,14 @@
 """Export: a run becomes a policy that acts as it did, and goes to ONNX with its normalisation."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 pytest.importorskip("stable_baselines3")
 
+from flexman_agents.training import train
 from flexman_gym.__main__ import main
 from flexman_gym.common.run_folder import SETTINGS
 from flexman_gym.evaluation import policy_files
@@ -16,6 +18,7 @@ from flexman_gym.evaluation.policy_files import read_policy
 
 from oracles import shipped as made
 from oracles.mutants import policy
+from oracles.runs import RUNS
 
 
 @pytest.fixture(scope="module")
@@ -52,6 +55,23 @@ def test_a_run_becomes_a_policy_that_reaches_the_same(run, tmp_path, capsys):
     assert row == {name: each if np.isfinite(each) else None for name, each in figures.items()}
     assert about["recipe"]["settings"]["seed"] == 2 and about["words"] == "It has not learned."
     assert main(words) == 2 and "give a new one" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("algo", ["tqc", "crossq"])
+def test_a_policy_of_another_algorithm_is_exported_with_dense_layers_alone(algo, tmp_path):
+    settings = replace(RUNS[algo], eval_every=0)
+    model = train(settings, tmp_path / "run", progress=False)
+    words = [str(tmp_path / "policy"), "--description", "It has not learned.", "--recipe", "none"]
+    assert main(["export", "policy", str(tmp_path / "run"), *words]) == 0
+    one, other = find_agent(str(tmp_path / "run")), find_agent(str(tmp_path / "policy"))
+    seen = np.random.default_rng(0).normal(size=(40, model.observation_space.shape[0])).astype(np.float32)
+    assert np.array_equal(one.law(seen), other.law(seen))
+    normalised = model.get_vec_normalize_env().normalize_obs(seen)
+    assert one.law(seen) == pytest.approx(model.predict(normalised, deterministic=True)[0], abs=1e-5)
+    widths = settings.hyperparameters["net_arch"]["pi"]
+    layers = read_policy(tmp_path / "policy").network.layers
+    assert [len(bias) for _, bias in layers] == [*widths, 1]
 
 
 def test_it_may_be_for_another_environment_with_what_acts_as_it_was(run, tmp_path):

@@ -3,6 +3,7 @@
 from flexman_agents.settings import Settings
 from flexman_gym.common.run_folder import NEWEST, read_npz
 
+SHORT = {"learning_starts": 40, "batch_size": 16, "gradient_steps": 2, "buffer_size": 120}
 ENVIRONMENT = {
     "id": "FlexOne-v0", "base": "pd", "action_repeat": 3, "sensors": ["full", "fine"], "horizon": 0.6,
     "randomisation": {
@@ -16,13 +17,15 @@ RUNS = {
         schedules={"learning_rate": {"start": 1e-2, "end": 0.0}, "log_std": {"start": -1.0, "end": -4.0}},
         eval_every=60,
     ),
-    "sac": Settings(
-        "sac", ENVIRONMENT, 150, seed=2, envs=3, normalise_reward=False,
-        hyperparameters={"learning_starts": 40, "batch_size": 16, "gradient_steps": 2, "buffer_size": 120,
-                         "net_arch": [8]},
+    **{algo: Settings(
+        algo, ENVIRONMENT, 150, seed=2, envs=3, normalise_reward=False, hyperparameters=SHORT | own,
         schedules={"learning_rate": {"start": 1e-2, "end": 0.0}, "target_entropy": {"start": -1.0, "end": -4.0}},
         eval_every=60,
-    ),
+    ) for algo, own in {
+        "sac": {"net_arch": [8]},
+        "tqc": {"net_arch": {"pi": [8], "qf": [12]}, "critic_norm": True, "n_quantiles": 5},
+        "crossq": {"net_arch": {"pi": [8, 8], "qf": [12]}, "policy_delay": 3},
+    }.items()},
 }  # fmt: skip
 
 

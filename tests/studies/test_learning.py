@@ -14,6 +14,7 @@ from studies.__main__ import main
 from studies.files import read_rows
 from studies.learning import measure
 from studies.learning import page as learning_page
+from studies.learning.algorithms import RECIPES as COMPARED
 from studies.learning.measure import (
     ABLATED,
     ABLATIONS,
@@ -47,7 +48,7 @@ SHORT = Settings(
 
 
 def test_every_recipe_is_judged():
-    assert sorted([*SEEDS, SAFETY_RECIPE]) == RECIPES and EVALUATED_IN.keys() <= SEEDS.keys()
+    assert sorted({*SEEDS, SAFETY_RECIPE, *COMPARED.values()}) == RECIPES and EVALUATED_IN.keys() <= SEEDS.keys()
     assert [case.name for case in cases() if case.kind == "recipe"] == list(SEEDS)
 
 

@@ -13,7 +13,8 @@ def ppo(arms: int, rollouts: int) -> Timer:
     Raises:
         ImportError: without Stable-Baselines3.
     """
-    from flexman_agents.sb3 import ALGORITHMS
+    from stable_baselines3 import PPO
+
     from flexman_agents.settings import DEFAULT_HYPERPARAMETERS, Settings
     from flexman_agents.training import train
 
@@ -21,7 +22,7 @@ def ppo(arms: int, rollouts: int) -> Timer:
     settings = Settings(algo="ppo", envs=arms, steps=steps)
 
     def measure() -> Cost:
-        learning, stepping = Stopwatch(ALGORITHMS["ppo"], "learn"), Stopwatch(FlexManVectorEnv, "step")
+        learning, stepping = Stopwatch(PPO, "learn"), Stopwatch(FlexManVectorEnv, "step")
         with TemporaryDirectory() as folder, learning as learn, stepping as step:
             train(settings, Path(folder) / "run", progress=False)
         return Cost(learn.cpu / steps, learn.wall / steps, step.cpu / learn.cpu)

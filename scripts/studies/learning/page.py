@@ -21,6 +21,8 @@ from flexman_gym.toolbox.league.certificate_file import exceeded_limits, read_ce
 from flexman_gym.toolbox.league.scenarios import change_name
 from studies.environments.measure import Baseline
 from studies.files import split_waiting
+from studies.learning.algorithms import AlgorithmRow
+from studies.learning.algorithms_page import comparison, references
 from studies.learning.measure import (
     ABLATED,
     ABLATION_SEEDS,
@@ -53,8 +55,15 @@ MOVING = tuple(
 )
 
 
-def page(rows: Sequence[LearningRow], computer: str, results: Results) -> str:
-    """Return the page as Markdown; `results` are those of controllers, as on the other pages."""
+def page(rows: Sequence[LearningRow], computer: str, results: Results, compared: Sequence[AlgorithmRow]) -> str:
+    """Return the page as Markdown.
+
+    Args:
+        rows: rows of the recipes, controllers and tasks.
+        computer: computer of these rows.
+        results: results of controllers, as on the other pages.
+        compared: rows of the comparison of algorithms.
+    """
     rows = [_known(row, results) for row in rows]
     return Template(TEMPLATE.read_text(encoding="utf-8")).substitute(
         opening=_opening(rows),
@@ -62,6 +71,7 @@ def page(rows: Sequence[LearningRow], computer: str, results: Results) -> str:
         test=f"{TEST_SEEDS.start} to {TEST_SEEDS.stop - 1}",
         slews=_body(7, _slews(rows)),
         footnote=_footnote(results.long),
+        algorithms=fill(f"{comparison(compared)} {references(compared)}", 118),
         robustness=_robustness(rows),
         moving=_body(4, _moving(rows)),
         min_settled=f"{100 * certificate.MIN_SETTLED:.0f}",

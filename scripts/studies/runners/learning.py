@@ -8,6 +8,7 @@ from typing import TypeVar
 from flexman_gym.common.computer import computer_text
 from flexman_gym.common.parallel import Workers
 from studies.files import folder, read_rows
+from studies.learning.algorithms import AlgorithmRow
 from studies.learning.measure import (
     LearningRow,
     Point,
@@ -20,7 +21,7 @@ from studies.learning.measure import (
     tasks,
 )
 from studies.learning.page import page
-from studies.results import Results
+from studies.results import DOCS, Results
 from studies.study import Study, Table
 
 KNOWN = {f"{case.kind}/{case.name}": case for case in cases()}  # cases with training
@@ -62,10 +63,15 @@ def measure(options: Namespace) -> tuple[Iterator[LearningRow], Iterator[Point]]
             with_others(folder / f"{CURVES}.csv", curves(options), Point))  # fmt: skip
 
 
+def compared() -> list[AlgorithmRow]:
+    """Return the rows of the comparison of algorithms, which the page quotes."""
+    return read_rows(DOCS / "evidence" / "algorithms.csv", AlgorithmRow)
+
+
 RUNNER = Study(
     tables=(Table(ROWS, LearningRow), Table(CURVES, Point)),
     measure=measure,
-    pages={"results.md": lambda rows, _, files: page(rows, files["learning.csv"], Results())},
+    pages={"results.md": lambda rows, _, files: page(rows, files["learning.csv"], Results(), compared())},
     charts=lambda folder, _, curves: pictures(curves, folder / "evidence"),
     options={
         "--only": {
