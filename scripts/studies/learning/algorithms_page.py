@@ -17,13 +17,13 @@ QUESTION = "Which algorithm trains the best policy in the same CPU time, and whe
 ANSWER = "**{best}** {references}"
 BODY = """{table}
 
-Slews of the known arm of `{environment}`, episodes {first} to {final}: settled share, median settling time, 95 % interval
-(bootstrap over episodes and training seeds; with one seed without the spread between runs). Policies add torques to the
-PD and observe the true state, as `lqr-tracking` does; `shaping-flexrrr`, a policy on such a controller, and `planned`
-also have the parameters.
+Slews of the known arm of `{environment}`, episodes {first} to {final}: settled share, median settling time, 95 %
+interval (bootstrap over episodes and training seeds; with one seed without the spread between runs). Policies add
+torques to the PD and observe the true state, as `lqr-tracking` does; `shaping-flexrrr`, a policy on such a controller,
+and `planned` also have the parameters.
 
-CPU time of one core. Schedules end with the run, after about {last:g} minutes{ends}: earlier policies are on the way, and
-better with schedules that end there."""
+CPU time of one core. Schedules end with the run, after about {last:g} minutes{ends}: earlier policies are on the way,
+and better with schedules that end there."""
 
 
 class _Result(NamedTuple):
