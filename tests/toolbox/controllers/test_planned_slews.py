@@ -179,3 +179,37 @@ def test_the_learned_table_is_made_of_training_seeds(learned):
 def test_a_table_of_another_arm_and_a_wrong_planning_time_are_refused():
     assert "table" in refusal(make_base, {"kind": "planned", "table": str(SHIPPED_TABLE)}, plant(ONE))
     assert "base.thinking: -1" in refusal(make_base, {"kind": "planned", "thinking": -1.0}, plant(RRR))
+
+
+def shooting_of(controller, ends, budget):
+    return SingleShooting(
+        controller, lambda count: controller._models("plans", count), BAND * 8.5, plant(RRR).rate_limit, ends, budget
+    )
+
+
+ENDS = np.array([0.2, -0.3, 0.4]), np.array([-0.5, 0.1, 0.6])
+
+
+@pytest.mark.slow
+def test_a_prediction_of_no_use_gives_way_to_the_torques_of_a_planned_slew():
+    """Zero torques over half a second: the slew found is about as quick as that of a good prediction."""
+    known = plant(RRR)
+    controller, useless = PlannedLQR(known), SlewTorques(np.zeros((6, 3)), 35, 25)
+    predicted = SlewRegression.of_model(SlewTable.load(LEARNED_TABLE), known.model, controller.limits).predict(*ENDS)
+    found, expected = (shooting_of(controller, ENDS, 12).first(each) for each in (useless, predicted))
+    assert found.arrival < 1.2 * expected.arrival
+
+
+@pytest.mark.slow
+def test_a_slew_found_is_shortened_without_a_further_jacobian():
+    """A slew that is known to settle, a tenth too long: steps with its own Jacobian shorten it by periods."""
+    controller = PlannedLQR(plant(RRR))
+    first = shooting_of(controller, ENDS, 12)
+    found = first.search()
+    late, shooting = round(1.1 * found.arrival), shooting_of(controller, ENDS, 2)
+    slow = shooting._solve(shooting.rescale(found, late), late)
+    count = shooting.jacobians
+    shorter = shooting._shortened(slow)
+    errors = shooting.errors(shorter.knots[None], shorter.periods)[0, :, :3]
+    assert shorter.arrival < slow.arrival and shooting.jacobians == count > 0
+    assert np.linalg.norm(errors[shorter.arrival - 1 :], axis=1).max() < BAND * 8.5
