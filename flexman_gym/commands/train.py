@@ -28,7 +28,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
     from flexman_gym.common.parallel import Workers
 
     parser.add_argument("recipe", nargs="?", help="recipe (flexman list recipes) or file of settings")
-    algorithms = f"{', '.join(ALGORITHMS)} (default: that of the recipe, or ppo)"
+    algorithms = f"{', '.join(ALGORITHMS)} (the recipe's, or ppo)"
     parser.add_argument("--algo", choices=ALGORITHMS, metavar="NAME", help=algorithms)
     add_options(parser, "--env", "--set", env={"help": "environment (flexman list environments) or file"})
     parser.add_argument("--arm", metavar="FILE", help="arm or environment (file) to which the recipe scales")
