@@ -12,6 +12,7 @@ from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation.policy_files import POLICIES
 from studies.__main__ import main
 from studies.files import read_rows
+from studies.generalist.measure import POLICY as GENERALIST
 from studies.learning import measure
 from studies.learning import page as learning_page
 from studies.learning.algorithms import RECIPES as COMPARED
@@ -48,7 +49,10 @@ SHORT = Settings(
 
 
 def test_every_recipe_is_judged():
-    assert sorted({*SEEDS, SAFETY_RECIPE, *COMPARED.values()}) == RECIPES and EVALUATED_IN.keys() <= SEEDS.keys()
+    assert (
+        sorted({*SEEDS, SAFETY_RECIPE, GENERALIST, *COMPARED.values()}) == RECIPES
+        and EVALUATED_IN.keys() <= SEEDS.keys()
+    )
     assert [case.name for case in cases() if case.kind == "recipe"] == list(SEEDS)
 
 
