@@ -333,10 +333,11 @@ def test_torques_between_the_brake_and_those_of_the_agent(monkeypatch):
 
 
 def test_an_agent_settles_within_a_limit_of_rates():
-    """A tracking LQR that exceeds the limit without the filter; with the fast brake alone it does not settle."""
+    """A quintic slew that exceeds the limit without the filter; with the fast brake alone it does not settle."""
     limits = fm.Limits(on_violation="record", margin={"rate": fm.Limits.rate - 0.5342})
     environment = Configuration.find("FlexRRR-v0").replace(limits=limits)
-    free, safe = (fm.rollout("lqr-tracking", environment, range(9000, 9008), safety=each) for each in (False, True))
+    agent = {"kind": "lqr-tracking", "timing": "quintic"}
+    free, safe = (fm.rollout(agent, environment, range(9000, 9008), safety=each) for each in (False, True))
     largest = [max(np.max(each.excess) for each in run.records) for run in (free, safe)]
     assert largest[0] > 0.0 >= largest[1]
     assert METRICS["settling_time"].evaluate(safe.records) < 1.1 * METRICS["settling_time"].evaluate(free.records)
