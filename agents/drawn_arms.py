@@ -21,6 +21,7 @@ from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.joint import Joint
 from flexman_gym.scene.link import Link
 from flexman_gym.scene.rigid_body import Payload
+from flexman_gym.toolbox.controllers.arm_scales import CHANGE
 
 JOINTS = (1, 3)  # fewest and most joints
 REACH = (0.3, 12.0)  # m; log-uniform
@@ -32,7 +33,6 @@ ROTOR = (0.1, 0.5)  # inertia of a rotor / inertia of the outstretched links and
 SPRING = (1.5, 4.0)  # frequency of these on the spring of the joint / first frequency of the links; uniform
 ELASTIC, GRAVITY, LIFTING = 0.6, 0.5, 0.7  # probabilities: of springs, of gravity, and of a further joint about -Y
 TURNING_AXIS, LIFTING_AXIS = (0.0, 0.0, 1.0), (0.0, -1.0, 0.0)
-CHANGE = 0.46  # rad; root mean square of the changes of motor angles of a slew
 WEIGHTS_HELD = 1.5  # torque limit without that of the slew / torque that holds twice the payload outstretched
 TAPER, WALL, SLENDERNESS = 0.8, 0.08, 0.03  # diameter / that of the link before; wall / diameter; first diameter tried
 

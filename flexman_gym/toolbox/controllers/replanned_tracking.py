@@ -22,6 +22,7 @@ from flexman_gym.toolbox.controllers.references.single_shooting import (
     SingleShooting,
     SlewTorques,
     interpolate_torques,
+    simulate_torques,
 )
 from flexman_gym.toolbox.controllers.tracking import Tracking
 
@@ -155,8 +156,8 @@ class ReplannedTracking(Tracking):
             return SlewTorques(self._torques[arm, rows], len(self._torques[arm, rows]), self._arrival[arm] - begin), 1.0
         last = self.slews.start_time[arm] + self.slews.duration[arm]
         times = self._period * np.arange(begin, max(begin, np.ceil(last / self._period)))
-        torques = [super(ReplannedTracking, self)._reference(time[None], here)[1][0] for time in times]
-        return SlewTorques(np.array(torques), len(torques), len(torques)), SLEW_FACTOR
+        torques = super()._reference(times, here.repeat(len(times)))[1]
+        return SlewTorques(torques, len(torques), len(torques)), SLEW_FACTOR
 
     def _predict(self, here: IntArray, estimate: Estimate, model: Model) -> Array:
         """Return the state (2 d,) of an arm at the end of the planning time, under this law, without friction."""
@@ -178,12 +179,8 @@ class ReplannedTracking(Tracking):
     def _adopt(self, arm: int, begin: int, case: tuple[Model, Array, Array], found: SlewTorques) -> None:
         """Store the plan found for an arm from a period of the clock on; case = (model, first state, goal)."""
         model, state, goal = case
-        torques, batch = interpolate_torques(found.knots, found.periods), self._batch(model, 1)
-        drives = np.zeros((1, found.periods, len(self.limits) + 6))
-        drives[0, :, : len(self.limits)] = torques
-        batch.reset(np.zeros(1, dtype=np.int64), state[None])
-        end = begin + found.periods
-        self._states[arm, begin : end + 1] = np.vstack([state, batch.roll(drives)[0][0]])
+        torques, end = interpolate_torques(found.knots, found.periods), begin + found.periods
+        self._states[arm, begin : end + 1] = simulate_torques(self._batch(model, 1), state, torques)
         self._torques[arm, begin:end] = torques
         self._states[arm, end], self._torques[arm, end] = rest_state(model, goal), holding_torques(model, goal)
         if self.status[arm] != PLANNED:

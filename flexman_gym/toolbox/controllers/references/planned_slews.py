@@ -23,6 +23,7 @@ from flexman_gym.toolbox.controllers.references.single_shooting import (
     SingleShooting,
     SlewTorques,
     interpolate_torques,
+    simulate_torques,
 )
 from flexman_gym.toolbox.controllers.references.slew_regression import SlewRegression
 from flexman_gym.toolbox.controllers.references.trajectories import QUINTIC
@@ -124,10 +125,8 @@ class PlannedLQR(TrackingLQR):
 
     def roll(self, state: Array, torques: Array) -> Array:
         """Return the states (T + 1, 2 d) from a state (2 d,) under torques (T, n), N m."""
-        batch, drives = self._models("plan", 1), np.zeros((1, len(torques), len(self.limits) + 6))
-        drives[0, :, : len(self.limits)] = np.clip(torques / self.limits, -1.0, 1.0) * self.limits
-        batch.reset(np.zeros(1, dtype=np.int64), state[None])
-        return np.vstack([state, batch.roll(drives)[0][0]]) if len(torques) else state[None]
+        applied = np.clip(torques / self.limits, -1.0, 1.0) * self.limits
+        return simulate_torques(self._models("plan", 1), state, applied)
 
     def _states(self, start: Array, goal: Array, torques: Array) -> Array:
         """Return the states (T + 1, 2 d) under torques (T, n), N m, between equilibria at motor angles (n,) rad."""

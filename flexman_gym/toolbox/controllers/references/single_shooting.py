@@ -72,6 +72,14 @@ def interpolate_torques(knots: Array, periods: int) -> Array:
     return result
 
 
+def simulate_torques(batch: Batch, state: Array, torques: Array) -> Array:
+    """Return the states (T + 1, 2 d) of the arm of a Batch of one, from a state (2 d,) under torques (T, n), N m."""
+    drives = np.zeros((1, len(torques), torques.shape[1] + 6))  # motor torques, tip force, base acceleration
+    drives[0, :, : torques.shape[1]] = torques
+    batch.reset(np.zeros(1, dtype=np.int64), state[None])
+    return np.vstack([state, batch.roll(drives)[0][0]])
+
+
 def _broyden_update(jacobian: Array, step: Array, change: Array) -> Array:
     """Return the Jacobian (m, ...) after Broyden's rank-one update (Mathematics of Computation 19, 1965, 577).
 
@@ -148,16 +156,17 @@ class SingleShooting:
         shortest time. Each further trial from the same torques is longer. The slew found is then shortened as long as
         steps with its own Jacobian settle.
         """
-        quintic = self._quintic()
-        trials = [(predicted, LATE_FACTOR * predicted.arrival), (quintic, SLEW_FACTOR * quintic.arrival)]
-        found = None
-        for _ in range(MAX_DURATIONS):
+        trials, found = [(predicted, LATE_FACTOR * predicted.arrival)], None
+        for attempt in range(MAX_DURATIONS):
             solution, time = trials.pop(0)
             arrival = max(1, round(time))
             found = self._solve(self.rescale(solution, arrival), arrival, FEW_JACOBIANS)
             if found is not None or self._exhausted():
                 break
             trials.append((solution, LATER_FACTOR * time))
+            if attempt == 0:  # most predictions settle, and a slew takes time to plan
+                quintic = self._quintic()
+                trials.insert(0, (quintic, SLEW_FACTOR * quintic.arrival))
         return found and self._shortened(found)
 
     def _shortened(self, found: SlewTorques) -> SlewTorques:
