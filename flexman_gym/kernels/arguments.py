@@ -77,6 +77,18 @@ def _write(context: Any, builder: Any, kinds: Any, values: Any) -> Any:
     return arrayobj.setitem_array(context, builder, _unsigned(kinds), values)
 
 
+@intrinsic
+def field(typing_context, array):
+    """Return a contiguous, writable array of numbers with the type of an array of a struct, others as they are.
+
+    Kernels for Python convert their arrays with it: inner kernels are then compiled for one type of array.
+    """
+    kind = array
+    if type(array) is types.Array and array.layout == "C" and array.mutable and array.dtype == NUMBER:
+        kind = _ArrayField(array.dtype, array.ndim)
+    return kind(array), lambda context, builder, kinds, values: values[0]
+
+
 BYTE_POINTER = ir.IntType(8).as_pointer()
 
 
@@ -142,9 +154,9 @@ def _store_struct(context: Any, builder: Any, kind: _StructPointer, fields: list
 @typeof_impl.register(Work)
 def _kind_of(parts: Any, given: Any) -> _StructPointer:
     kinds = [typeof_impl(each, given) for each in parts]
-    return _StructPointer(
-        [_ArrayField(each.dtype, each.ndim, not each.mutable, each.layout) for each in kinds], type(parts)
-    )
+    readonly = [not each.mutable or isinstance(each.dtype, types.Integer) for each in kinds]  # as in `_kind`
+    pairs = zip(kinds, readonly, strict=True)
+    return _StructPointer([_ArrayField(each.dtype, each.ndim, fixed, each.layout) for each, fixed in pairs], type(parts))
 
 
 @unbox(_StructPointer)

@@ -14,7 +14,7 @@ from flexman_gym.kernels.implicit import converged_step, gauss_step, midpoint_st
 from flexman_gym.kernels.lanes import extract_lane, insert_lane, lane_count
 from flexman_gym.kernels.layout import ARMS_PER_GROUP, DIVERGED, NOT_CONVERGED, OK
 from flexman_gym.kernels.linalg import copy
-from flexman_gym.kernels.outputs import compute_outputs, compute_tip_accelerations
+from flexman_gym.kernels.outputs import compute_tip_accelerations, set_outputs
 from flexman_gym.kernels.runge_kutta import explicit_step, in_bounds, linearly_implicit_step, sequences_step
 
 
@@ -46,7 +46,7 @@ def _advance_steps(constants, work, method, steps, state):
         fixed_step(constants, work, method, None, (n * step, step), state)
         copy(work.new_state, state)
     evaluate_foundation(work, number * step)
-    compute_outputs(constants, work, state[:d], state[d : 2 * d], work.outputs)
+    set_outputs(constants, work, state[:d], state[d : 2 * d], work.outputs)
 
 
 @released
@@ -207,7 +207,7 @@ def _run_group(constants, work, given, arms, moved, status, counts):
             copy(work.new_state, state)
         if grid.substeps == 0 or (n >= 0 and (n + 1) % grid.substeps == 0):
             evaluate_foundation(work, grid.time + (n + 1) * grid.step)
-            compute_outputs(constants, work, state[:d], state[d : 2 * d], work.outputs)
+            set_outputs(constants, work, state[:d], state[d : 2 * d], work.outputs)
             r = grid.row if grid.substeps == 0 else grid.row + n // grid.substeps
             for arm in range(first, end):
                 if status[arm] == OK:

@@ -16,6 +16,7 @@ inertia of the frame about the axis, and `mixed` for their coupling.
 
 import math
 
+from flexman_gym.kernels.arguments import field
 from flexman_gym.kernels.compile import inner, kernel
 from flexman_gym.kernels.forces import applied_forces, has_knees
 from flexman_gym.kernels.foundation import base_spin, base_spin_rate
@@ -274,11 +275,12 @@ def _tip_coupling(constants, work, i, tip):
 @kernel
 def accelerations(constants, work, x, v, drive, out):
     """Set out (d,) to the accelerations at coordinates x and speeds v (d,) for inputs `drive` (n + 6,) of `layout`."""
-    copy(drive, work.drive)
+    x, v = field(x), field(v)
+    copy(field(drive), work.drive)
     compute_kinematics(constants, work, x, v)
     factorise(constants, work, (0.0, 0.0))
     applied_forces(constants, work, x, v)
-    solve(constants, work, out)
+    solve(constants, work, field(out))
 
 
 @inner

@@ -2,7 +2,7 @@
 
 import math
 
-from flexman_gym.kernels.arguments import constants_of, work_of
+from flexman_gym.kernels.arguments import constants_of, field, work_of
 from flexman_gym.kernels.compile import inner, kernel
 from flexman_gym.kernels.dynamics import link_tip_acceleration, payload_force
 from flexman_gym.kernels.forces import has_knees, spring_slope, spring_torque
@@ -27,6 +27,12 @@ from flexman_gym.kernels.linalg import (
 
 @kernel
 def inertial_forces(constants, work, x, v, acceleration, out):
+    """Call `_inertial_forces` with arrays of Python."""
+    _inertial_forces(constants, work, field(x), field(v), field(acceleration), field(out))
+
+
+@inner
+def _inertial_forces(constants, work, x, v, acceleration, out):
     """Set out (d,) to M v' + h at coordinates x (d,) and speeds v (d,) for accelerations v' (d,).
 
     Sets work.reaction (n + 1, 6) to force (N) and moment (N m) on each link at its origin, then on the payload.
@@ -82,7 +88,7 @@ def inertial_jacobian(tables, motion, out):
         for k in range(count):
             insert_lane(work.stages[(first + k) // d], (first + k) % d, 1 + k, 1.0)
         x, v, acceleration = work.stages[0, :d], work.stages[1, :d], work.stages[2, :d]
-        inertial_forces(constants, work, x, v, acceleration, result[:d])
+        _inertial_forces(constants, work, x, v, acceleration, result[:d])
         velocity = load(work.tip_velocity, 0)
         for i in range(len(constants.mass) - 1, -1, -1):
             velocity = apply(load_matrix(work.rotation, i), velocity)
@@ -158,6 +164,7 @@ def linear_twists(constants, x):
 
     The forces of all springs at the given coordinates are then the stiffness matrix times x.
     """
+    x = field(x)
     for i in range(len(constants.mass)):
         m = constants.motor[i]
         if m >= 0 and has_knees(constants, i):
@@ -167,6 +174,7 @@ def linear_twists(constants, x):
 @kernel
 def spring_slopes(constants, x, out):
     """Set out (n,) to the tangent stiffness (N m/rad) of the joint springs at coordinates x (d,); 0 if rigid."""
+    x = field(x)
     for i in range(len(constants.mass)):
         m = constants.motor[i]
         out[i] = spring_slope(constants, i, x[m] - x[i]) if m >= 0 else 0.0
@@ -212,9 +220,10 @@ def solve_equilibrium(constants, work, stiffness, compliance, free, rest, x, for
     Returns:
         The largest change in the last iteration, relative to the largest coordinate or to 1.
     """
+    x, rest, force = field(x), field(rest), field(force)
     largest = 1.0
     for _ in range(EQUILIBRIUM_ITERATIONS):
-        inertial_forces(constants, work, x, rest, rest, force)
+        _inertial_forces(constants, work, x, rest, rest, force)
         linear_twists(constants, x)
         for i in range(len(free)):
             for j in range(len(x)):

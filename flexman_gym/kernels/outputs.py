@@ -1,5 +1,6 @@
 """Outputs of a state: tip motion, deflection, energies and tip accelerations."""
 
+from flexman_gym.kernels.arguments import field
 from flexman_gym.kernels.compile import inner, kernel
 from flexman_gym.kernels.dynamics import factorise, solve
 from flexman_gym.kernels.forces import applied_forces, spring_energy
@@ -35,6 +36,12 @@ from flexman_gym.kernels.rigid_arm import rigid_tip
 
 @kernel
 def compute_outputs(constants, work, x, v, out):
+    """Call `set_outputs` with arrays of Python."""
+    set_outputs(constants, work, field(x), field(v), field(out))
+
+
+@inner
+def set_outputs(constants, work, x, v, out):
     """Set out (OUTPUTS,) to the output row of `layout` at coordinates x and speeds v (d,).
 
     Deflection and deflection rate are relative to position and velocity of the tip of the rigid arm at the motor angles
@@ -111,8 +118,8 @@ def _transport_acceleration(constants, work):
 @kernel
 def tip_accelerations(constants, work, x, v, drive, out):
     """Set out (TIP_ACCELERATIONS,) as `compute_tip_accelerations` for all numbers of work.drive, see `layout`."""
-    copy(drive, work.drive)
-    compute_tip_accelerations(constants, work, x, v, out)
+    copy(field(drive), work.drive)
+    compute_tip_accelerations(constants, work, field(x), field(v), field(out))
 
 
 @kernel

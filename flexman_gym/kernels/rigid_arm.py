@@ -2,6 +2,7 @@
 
 import math
 
+from flexman_gym.kernels.arguments import field
 from flexman_gym.kernels.compile import inner, kernel
 from flexman_gym.kernels.linalg import (
     IDENTITY,
@@ -43,6 +44,7 @@ def rigid_tip(constants, x, v):
 @kernel
 def rigid_tips(constants, states, out):
     """Set out (r, 3) to the tips (m, base frame) of the rigid arm at the motor angles of states (r, 2 d)."""
+    states, out = field(states), field(out)
     d = states.shape[1] // 2
     for r in range(len(states)):
         store(out, r, rigid_tip(constants, states[r, :d], states[r, d:])[0])

@@ -9,7 +9,7 @@ to the bit. A kernel has a single call of the dynamics, because the compiler inl
 
 import math
 
-from flexman_gym.kernels.arguments import constants_of, work_of
+from flexman_gym.kernels.arguments import constants_of, field, work_of
 from flexman_gym.kernels.compile import inner, kernel
 from flexman_gym.kernels.dynamics import factorise, prescribed_power, solve
 from flexman_gym.kernels.forces import applied_forces, evaluate_drive, secant_friction, shift_forces, tangent_springs
@@ -18,7 +18,7 @@ from flexman_gym.kernels.kinematics import compute_kinematics
 from flexman_gym.kernels.lanes import extract_lane, fma, insert_lane, value_lane
 from flexman_gym.kernels.layout import DIVERGED, LARGEST_STATE, NOT_CONVERGED, OK, PAUSED
 from flexman_gym.kernels.linalg import copy
-from flexman_gym.kernels.outputs import compute_outputs
+from flexman_gym.kernels.outputs import set_outputs
 
 SAFETY, MIN_FACTOR, MAX_FACTOR = 0.9, 0.2, 10.0  # step size control; Hairer, Norsett and Wanner, Solving ODEs I, II.4
 MIN_STEP = 1e-14  # dimensionless; smallest step as a fraction of the interval between outputs
@@ -113,7 +113,7 @@ def _stage_derivative(constants, work, table, time, state, out):
 def state_derivative(constants, work, table, time, state, out):
     """Set out (2 d + 2,) to the time derivative of state and ledger (2 d + 2,) at a time (s)."""
     load_foundation(work, table)
-    _stage_derivative(constants, work, table, time, state, out)
+    _stage_derivative(constants, work, table, time, field(state), field(out))
 
 
 @inner
@@ -141,11 +141,12 @@ def run_adaptive(constants, work, method, tableau, table, grid, state, rows, out
         grid: time grid of the rows.
         state: (2 d + 2,) state and ledger (work and dissipation, J), overwritten.
         rows: (r, 2 d + 2) states and ledgers after each interval, overwritten.
-        outputs: (r, OUTPUTS) results of `compute_outputs`, overwritten.
+        outputs: (r, OUTPUTS) results of `set_outputs`, overwritten.
 
     Returns:
         Status, number of valid rows and number of evaluations of the accelerations.
     """
+    state, rows, outputs = field(state), field(rows), field(outputs)
     load_foundation(work, table)
     d, evaluations = len(state) // 2 - 1, 0
     step_size = work.next_step[0] if work.next_step[0] > 0.0 else grid.step
@@ -177,7 +178,7 @@ def run_adaptive(constants, work, method, tableau, table, grid, state, rows, out
         work.next_step[0] = step_size
         copy(state, rows[r])
         evaluate_foundation(work, grid.time + (grid.first_row + r + 1) * grid.step * grid.substeps)
-        compute_outputs(constants, work, state[:d], state[d : 2 * d], outputs[r])
+        set_outputs(constants, work, state[:d], state[d : 2 * d], outputs[r])
     return OK, len(rows), evaluations
 
 
