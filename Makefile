@@ -14,7 +14,7 @@ test: lint kernels
 	$(RUN) pytest -n 2 --dist loadfile -m "not evidence"
 
 kernels: .venv/installed
-	.venv/bin/python tests/compile_kernels.py
+	.venv/bin/python scripts/kernel_uses.py
 
 # The core alone: its tests but for those that take long, with all features blocked and with kernels that are compiled.
 quick: .venv/installed

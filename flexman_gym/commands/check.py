@@ -5,13 +5,10 @@ Please add the output to a report of a problem.
 
 import argparse
 import time
-from pathlib import Path
 from statistics import median
 
 from flexman_gym.commands import CommandLine
-from flexman_gym.commands.compile import KERNEL_KINDS
 
-KERNEL_FUNCTIONS = {"single": "advance_single", "batch": "advance_batch"}  # a kernel of each kind
 PACKAGES = ("gymnasium", "torch", "stable-baselines3")
 TIMED_STEPS, ROUNDS = 500, 5  # environment steps of a round; rounds
 
@@ -23,25 +20,26 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
 def _run(options: argparse.Namespace) -> int:
     """Print the state of the installation and the speed of an environment; return 0."""
     from flexman_gym.common.computer import computer_info
-    from flexman_gym.kernels import CACHE_FOLDER
 
-    for name, value in (computer_info(PACKAGES) | {"vector registers": f"{_vector_bits()} bits"}).items():
-        print(f"{name}: {value}")
-    print(f"cache folder: {CACHE_FOLDER or 'none: no folder with write access for this user only'}")
-    for kind, name in KERNEL_KINDS.items():
-        compiled = _is_compiled(KERNEL_FUNCTIONS[kind])
-        print(f"kernels of {name}: {'compiled' if compiled else 'not compiled yet'}", flush=True)
+    vectors = {"vector registers": f"{_vector_bits()} bits"}
+    for name, value in (computer_info(PACKAGES) | vectors | _kernel_states()).items():
+        print(f"{name}: {value}", flush=True)
     speed = f"{_steps_per_second():,.0f} per CPU second"
     print(f"steps of FlexRRR-v0: {speed} (one arm, random actions; median of {ROUNDS} rounds of {TIMED_STEPS} steps)")
     return 0
 
 
-def _is_compiled(name: str) -> bool:
-    """Return True if a kernel is in the cache of this installation."""
-    from flexman_gym.kernels import batch
+def _kernel_states() -> dict[str, str]:
+    """Return whether machine code of the wheel is used, and where kernels are compiled otherwise."""
+    from flexman_gym.kernels import CACHE_FOLDER, first_use, machine_code
 
-    folder = getattr(batch, name).stats.cache_path
-    return folder is not None and any(Path(folder).glob(f"batch.{name}-*.nbc"))
+    compiled = "in every process, as no folder has write access for this user only"
+    if CACHE_FOLDER is not None:
+        compiled = f"{'' if first_use.is_done(CACHE_FOLDER) else 'not yet, '}in {CACHE_FOLDER}"
+    return {
+        "machine code of the wheel": machine_code.LEVEL or f"not used: {machine_code.REASON}",
+        "compiled kernels": compiled,
+    }
 
 
 def _vector_bits() -> int:

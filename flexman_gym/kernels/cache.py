@@ -85,11 +85,15 @@ def _is_private(folder: Path, strict: bool) -> bool:
     return True
 
 
-def _folder_name() -> str:
-    """Return the hash of the kernels' sources and of the Numba settings that affect the code."""
+def digest_sources() -> str:
+    """Return the SHA-256 of the kernels' sources, in hexadecimal digits."""
     digest = hashlib.sha256()
     for path in sorted(Path(__file__).parent.glob("*.py")):
         digest.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
-    for name in CODE_SETTINGS:
-        digest.update(f"{name}={getattr(numba.config, name, None)}\0".encode())
-    return digest.hexdigest()[:16]
+    return digest.hexdigest()
+
+
+def _folder_name() -> str:
+    """Return the hash of the kernels' sources and of the Numba settings that affect the code."""
+    settings = (f"{name}={getattr(numba.config, name, None)}" for name in CODE_SETTINGS)
+    return hashlib.sha256("\0".join([digest_sources(), *settings]).encode()).hexdigest()[:16]

@@ -1,26 +1,26 @@
-"""Decorators that compile kernels, their common flags, and checksummed files of compiled code.
+"""Decorators that compile kernels, their common flags, and their caches.
 
 Numba optimises each function together with all functions it calls, and emits machine code for it. For a kernel that is
 only inlined into other kernels both are omitted: it is optimised in its callers. This saves two fifths of the compile
 time.
 """
 
-import hashlib
-import pickle
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numba
 from numba import _dynfunc
-from numba.core.caching import FunctionCache, IndexDataCacheFile
+from numba.core.caching import FunctionCache, IndexDataCacheFile, NullCache
 from numba.core.codegen import JITCodeLibrary
-from numba.core.compiler import Compiler
+from numba.core.compiler import Compiler, CompileResult, Flags
 from numba.core.compiler_machinery import register_pass
 from numba.core.typed_passes import NativeLowering
 
-DIGEST_SIZE = hashlib.sha256().digest_size  # bytes; size of the digest at the beginning of a file
+from flexman_gym.kernels.checked_files import read_checked, write_checked
+from flexman_gym.kernels.first_use import compile_first_use, is_first_use
+from flexman_gym.kernels.machine_code import read_code
 
 
 class _ChecksummedFiles(IndexDataCacheFile):
@@ -28,7 +28,7 @@ class _ChecksummedFiles(IndexDataCacheFile):
 
     def _load_index(self) -> Any:
         try:
-            version, stamp, overloads = _read_checked(self._index_path)
+            version, stamp, overloads = read_checked(self._index_path)
         except OSError:
             return {}
         return overloads if (version, stamp) == (self._version, self._source_stamp) else {}
@@ -37,18 +37,38 @@ class _ChecksummedFiles(IndexDataCacheFile):
         self._write(self._index_path, (self._version, self._source_stamp, overloads))
 
     def _load_data(self, name: str) -> Any:
-        return _read_checked(self._data_path(name))
+        return read_checked(self._data_path(name))
 
     def _save_data(self, name: str, data: Any) -> None:
         self._write(self._data_path(name), data)
 
     def _write(self, path: str, data: Any) -> None:
-        content = self._dump(data)
         with self._open_for_write(path) as file:
-            file.write(hashlib.sha256(content).digest() + content)
+            write_checked(file, self._dump(data))
 
 
-class _ChecksummedCache(FunctionCache):
+class _MachineCode:
+    """Part of the cache of a kernel that takes the machine code of a wheel first, see `machine_code`."""
+
+    _py_func: Any  # kernel
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """Return the compiled kernel for a signature, or None if it is to be compiled."""
+        code = read_code(self._py_func, sig)
+        if code is None:
+            return super().load_overload(sig, target_context)  # type: ignore[misc]
+        target_context.refresh()
+        return CompileResult._rebuild(target_context, *code)
+
+
+class _NoFolder(_MachineCode, NullCache):
+    """Cache of a kernel without a cache folder."""
+
+    def __init__(self, function: Any) -> None:
+        self._py_func = function
+
+
+class _ChecksummedCache(_MachineCode, FunctionCache):
     """Numba's cache of a kernel with checksummed files; if the disk is full, compilation succeeds without a cache.
 
     Numba identifies a kernel by the path and the modification time of its file. Kernels of this package are identified
@@ -64,6 +84,14 @@ class _ChecksummedCache(FunctionCache):
             self._cache_path, stamp = folder, None
         self._cache_file = _ChecksummedFiles(self._cache_path, self._impl.filename_base, stamp)
 
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """Return the compiled kernel for a signature, or None if it is to be compiled; see `first_use`."""
+        result = super().load_overload(sig, target_context)
+        if result is None and self._cache_path == FOLDER and is_first_use(FOLDER):
+            compile_first_use(FOLDER)
+            result = super().load_overload(sig, target_context)
+        return result
+
     def save_overload(self, sig: Any, data: Any) -> None:
         """Write the compiled code of a kernel to the disk."""
         try:
@@ -74,21 +102,12 @@ class _ChecksummedCache(FunctionCache):
                 print(f"flexman_gym cannot cache compiled kernels: {error}", file=sys.stderr)
 
 
-def _read_checked(path: str) -> Any:
-    """Return the content of a file; raise OSError for a file that is missing or damaged."""
-    content = Path(path).read_bytes()
-    if hashlib.sha256(content[DIGEST_SIZE:]).digest() != content[:DIGEST_SIZE]:
-        raise OSError(f"{path} is damaged")
-    return pickle.loads(content[DIGEST_SIZE:])
-
-
 def _cached(decorate: Callable[[Any], Any]) -> Callable[[Any], Any]:
-    """Return a decorator that compiles a kernel and caches its code on the disk, if there is a cache folder."""
+    """Return a decorator that loads a kernel or compiles it, and caches its code on the disk, if there is a folder."""
 
     def compile_cached(function: Any) -> Any:
         result = decorate(function)
-        if FOLDER is not None and not numba.config.DISABLE_JIT:
-            result._cache = _ChecksummedCache(function, FOLDER)
+        result._cache = _NoFolder(function) if FOLDER is None else _ChecksummedCache(function, FOLDER)
         return result
 
     return compile_cached
@@ -123,8 +142,32 @@ class _InlineLowering(NativeLowering):
         return True
 
 
-class _InlineCompiler(Compiler):
-    """Numba's compiler with `_InlineLowering` as the last pass."""
+class _SharedFlags(Flags):
+    """Compiler flags whose equal copies are one object.
+
+    Numba compares the flags with those of earlier functions at each operation whose types it infers. Comparing all
+    values each time took a twelfth of the compile time.
+    """
+
+    _copies: ClassVar[dict[str, "_SharedFlags"]] = {}
+
+    def copy(self) -> "_SharedFlags":
+        """Return the copy of all flags with the same values; it is not to be changed."""
+        return self._copies.setdefault(repr(self), _SharedFlags(self))
+
+    __eq__, __hash__ = object.__eq__, object.__hash__
+
+
+class _KernelCompiler(Compiler):
+    """Numba's compiler with shared flags."""
+
+    def __init__(self, *args: Any) -> None:
+        super().__init__(*args)
+        self.state.flags = _SharedFlags(self.state.flags)
+
+
+class _InlineCompiler(_KernelCompiler):
+    """Compiler with `_InlineLowering` as the last pass."""
 
     def define_pipelines(self) -> list[Any]:
         """Return Numba's passes, with `_InlineLowering` in place of the lowering."""
@@ -140,8 +183,9 @@ class _InlineCompiler(Compiler):
 # would differ between one arm and a batch; `lanes.fma` has most of its gain.
 FLAGS: dict[str, Any] = {"_nrt": False, "error_model": "numpy"}
 FOLDER = numba.config.CACHE_DIR or None  # cache folder, set while the modules of this package are imported
-kernel = _cached(numba.njit(**FLAGS))  # called from Python
-released = _cached(numba.njit(**FLAGS, nogil=True))  # called from Python, in several threads at once
+CALLED: dict[str, Any] = FLAGS | {"pipeline_class": _KernelCompiler}  # of kernels that Python calls, and no kernel
+kernel = _cached(numba.njit(**CALLED))
+released = _cached(numba.njit(**CALLED, nogil=True))  # in several threads at once
 inner = numba.njit(  # called by other kernels only
     **FLAGS, forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True, pipeline_class=_InlineCompiler
 )

@@ -164,7 +164,12 @@ def linear_twists(constants, x):
 
     The forces of all springs at the given coordinates are then the stiffness matrix times x.
     """
-    x = field(x)
+    _linear_twists(constants, field(x))
+
+
+@inner
+def _linear_twists(constants, x):
+    """Do what `linear_twists` does."""
     for i in range(len(constants.mass)):
         m = constants.motor[i]
         if m >= 0 and has_knees(constants, i):
@@ -224,7 +229,7 @@ def solve_equilibrium(constants, work, stiffness, compliance, free, rest, x, for
     largest = 1.0
     for _ in range(EQUILIBRIUM_ITERATIONS):
         _inertial_forces(constants, work, x, rest, rest, force)
-        linear_twists(constants, x)
+        _linear_twists(constants, x)
         for i in range(len(free)):
             for j in range(len(x)):
                 force[free[i]] += stiffness[free[i], j] * x[j]

@@ -1,21 +1,32 @@
-"""Compile the kernels that many tests need, in two processes.
+"""Use the kernels as programs do, in two processes, so that they are compiled into the cache before they are needed.
 
-Otherwise both processes of the tests compile the same kernel whenever they need it at the same time.
+Otherwise both processes of the tests compile the same kernel whenever they need it at the same time, and the machine
+code of a wheel lacks what this program does not use.
 """
 
 import multiprocessing
 import time
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
+from typing import Any
 
+import gymnasium as gym
 import numpy as np
 
 import flexman_gym as fm
+from flexman_gym.commands.compile import USES
+from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.simulation.batch import Batch
 
 SCENE = replace(fm.catalog.paper_scene("rr"), duration=0.02)
 STEP = 0.01  # s
 FAMILIES = ("midpoint_corrected_3", "gauss_2", "ros2")  # methods of kernels of their own in a batch
+AGENTS = ("pd", "pd-torque", "lqr-tracking", "lqg", "adaptive-lqr", "privileged-planned")
+
+
+def first_use(job: str) -> None:
+    """Use the kernels of a job of `flexman compile`."""
+    USES[job]()
 
 
 def step_arms(arms: int) -> None:
@@ -44,10 +55,30 @@ def differentiate() -> None:
         fm.sensitivities(SCENE, method=method, step=STEP)
 
 
+def evaluate() -> None:
+    """Evaluate controllers, one arm and several, and draw an arm."""
+    for agent in AGENTS:
+        for seeds in (range(9000, 9001), range(9000, 9002)):
+            fm.evaluate(agent, "FlexRRR-v0", seeds=seeds)
+    env: Any = gym.make("FlexRRR-v0", render_mode="rgb_array")
+    env.reset(seed=0)
+    env.render()
+
+
+def step_environments() -> None:
+    """Step each named environment, alone and two at once."""
+    for name in NAMED_ENVIRONMENTS:
+        for env in (gym.make(name), gym.make_vec(name, 2, "vector_entry_point")):
+            any_env: Any = env
+            any_env.reset(seed=0)
+            any_env.step(any_env.action_space.sample())
+
+
 JOBS = (
+    (first_use, "batch"), (first_use, "single"), (first_use, "control"), (first_use, "simulation"),
     (step_arms, 9), (step_arms, 1), (simulate_all,), (differentiate,),
     (simulate, "midpoint_corrected_3", "gauss_2", "implicit_midpoint"),
-    (simulate, "rk4", "ros2", "extrapolated_euler_5"),
+    (simulate, "rk4", "ros2", "extrapolated_euler_5"), (evaluate,), (step_environments,),
 )  # fmt: skip
 
 
