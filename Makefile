@@ -3,7 +3,7 @@ TORCH := torch==2.13.0
 RUN := .venv/bin/python -m
 CODE := flexman_gym agents scripts
 
-.PHONY: demo test kernels quick lint site pages bundle verify wheel clients evidence clean
+.PHONY: demo test kernels quick lint site pages bundle verify wheel wheels clients evidence clean
 
 demo: .venv/installed
 	.venv/bin/flexman demo
@@ -45,6 +45,11 @@ verify: .venv/installed
 # What a new user does, without the checkout: builds the wheel and installs it, checks, trains and evaluates.
 wheel:
 	@PYTHON=$(PYTHON) TORCH=$(TORCH) scripts/wheel.sh
+
+# The wheels of a release, into out/wheels: for every platform, and with machine code for Pythons that are found here.
+wheels:
+	@mkdir -p out
+	@TORCH=$(TORCH) scripts/wheels.sh out/wheels
 
 # Short training loops of Stable-Baselines3, sb3-contrib, skrl, TorchRL and Tianshou, in an environment of their own.
 clients:

@@ -10,14 +10,16 @@ import subprocess
 import sys
 import tempfile
 from pathlib import Path
+from types import CodeType
 from typing import Any
 
 from llvmlite import binding
 from numba.core.serialize import dumps
 
 from flexman_gym.kernels.checked_files import read_checked, write_checked
-from flexman_gym.kernels.machine_code import LEVELS, MADE_WITH, made_with
+from flexman_gym.kernels.machine_code import FOLDER, LEVELS, MADE_WITH, made_with
 
+SOURCES = FOLDER.parent
 ANNOTATION = 6  # index of the text of the types in Numba's reduced compilation result, which no run needs
 
 
@@ -39,25 +41,42 @@ def main() -> None:
 def write_level(cache: Path, folder: Path) -> None:
     """Write the machine code of a cache folder to a new folder, a file for each kernel."""
     folder.mkdir(parents=True)
+    called = called_names(SOURCES)
     for index in sorted(cache.glob("*.nbi")):
         _, _, overloads = read_checked(index)
-        codes = {key[0]: dumps(slim(read_checked(cache / name))) for key, name in overloads.items()}
-        with (folder / index.name.rsplit("-", 1)[0]).open("xb") as file:
+        kernel = index.name.rsplit("-", 1)[0]  # module.name
+        keep = kernel.partition(".")[2] in called
+        codes = {key[0]: dumps(slim(read_checked(cache / name), keep)) for key, name in overloads.items()}
+        with (folder / kernel).open("xb") as file:
             write_checked(file, dumps(codes))
 
 
-def slim(code: tuple[Any, ...]) -> tuple[Any, ...]:
-    """Return a reduced compilation result without what no run needs: the text of types, and code for other kernels.
+def called_names(folder: Path) -> set[str]:
+    """Return all names that functions in the sources of a folder use, among them those of kernels that others call."""
+    codes = [compile(path.read_text(), str(path), "exec") for path in folder.glob("*.py")]
+    used: set[str] = set()
+    functions = [each for code in codes for each in code.co_consts if isinstance(each, CodeType)]
+    while functions:
+        code = functions.pop()
+        used.update(code.co_names)
+        functions += [each for each in code.co_consts if isinstance(each, CodeType)]
+    return used
 
-    A kernel is not called by others, so that the functions in the code for others need only their names. They trap.
+
+def slim(code: tuple[Any, ...], keep: bool) -> tuple[Any, ...]:
+    """Return a reduced compilation result without what no run needs.
+
+    That is the text of types, and the code for other kernels unless `keep`: in its place are functions that trap.
     """
-    name, kind, (machine_code, bitcode) = code[0]
-    module = binding.parse_bitcode(bitcode)
-    names = [each.name for each in module.functions if not each.is_declaration]
-    lines = [f'define void @"{each}"() {{ call void @llvm.trap() unreachable }}' for each in names]
-    stubs = "\n".join([f'target triple = "{module.triple}"', "declare void @llvm.trap()", *lines])
     result = list(code)
-    result[0], result[ANNOTATION] = (name, kind, (machine_code, binding.parse_assembly(stubs).as_bitcode())), ""
+    result[ANNOTATION] = ""
+    if not keep:
+        name, kind, (machine_code, bitcode) = code[0]
+        module = binding.parse_bitcode(bitcode)
+        names = [each.name for each in module.functions if not each.is_declaration]
+        lines = [f'define void @"{each}"() {{ call void @llvm.trap() unreachable }}' for each in names]
+        stubs = "\n".join([f'target triple = "{module.triple}"', "declare void @llvm.trap()", *lines])
+        result[0] = (name, kind, (machine_code, binding.parse_assembly(stubs).as_bitcode()))
     return tuple(result)
 
 

@@ -1,11 +1,11 @@
 #!/bin/sh
-# Builds the wheels of a release into a new folder: one for every platform, and, for each Python, one with the machine
-# code of the kernels for the processors of this machine's kind. Then it tries them in empty environments.
+# Builds the wheels of a release into a new folder: one for every platform, in which kernels compile, and, for each
+# Python, one with the machine code of the kernels for processors of the kind of this machine. Each is installed in an
+# empty environment and used there without a compilation.
 #
 #     scripts/wheels.sh FOLDER [PYTHON ...]
 #
-# The Pythons are programs (default: those named python3.11, python3.12, python3.13 that are found). On another kind of
-# machine the same command builds the wheel of that kind; for processors other than x86-64 kernels compile.
+# The Pythons are programs (default: those of 3.11, 3.12, 3.13 that are found, of pyenv too).
 set -eu
 
 checkout=$(cd "$(dirname "$0")/.." && pwd)
@@ -14,12 +14,54 @@ mkdir "$1"
 folder=$(cd "$1" && pwd)
 shift
 unset PYTHONPATH PYTHONHOME
+
 if [ $# -eq 0 ]; then
     for version in 3.11 3.12 3.13; do
-        if command -v "python$version" >/dev/null && "python$version" -c ""; then
-            set -- "$@" "python$version"
-        else
-            echo "No python$version: its wheel is left out; build it where there is one with: scripts/wheels.sh FOLDER python$version"
-        fi
+        for python in "python$version" "$HOME"/.pyenv/versions/"$version".*/bin/python; do
+            if "$python" -c "" 2>/dev/null; then
+                set -- "$@" "$python"
+                continue 2
+            fi
+        done
+        echo "No Python $version here: for its wheel run scripts/wheels.sh FOLDER PYTHON with one"
     done
 fi
+machine=$(uname -m)
+case "$(uname -s)" in
+    Linux) platform=manylinux_2_28_$machine ;;
+    *) platform=macosx_11_0_$machine ;;
+esac
+echo "Wheels of other machines (64-bit ARM, macOS) need the same command there: scripts/wheels.sh FOLDER"
+
+"$1" -m venv "$folder/tools"
+"$folder/tools/bin/python" -m pip install --quiet "setuptools>=77" wheel
+rm -rf "$checkout"/build/lib "$checkout"/build/bdist.* # files that are gone would be built in again
+(cd "$checkout" && "$folder/tools/bin/python" -c "from setuptools import build_meta; build_meta.build_sdist('$folder')" >/dev/null)
+"$folder/tools/bin/python" -m pip wheel --quiet --no-deps --wheel-dir "$folder" "$folder"/*.tar.gz
+pure=$(echo "$folder"/*-py3-none-any.whl)
+
+for python; do
+    tag=$("$python" -c "import sys; print('cp%d%d' % sys.version_info[:2])")
+    echo "$tag: compiling the kernels"
+    build=$folder/build-$tag
+    mkdir "$build"
+    "$python" -m venv "$build/environment"
+    "$build/environment/bin/python" -m pip install --quiet "$pure"
+    (cd "$build" && environment/bin/python "$checkout/scripts/machine_code.py" code "$checkout/scripts/kernel_uses.py")
+    "$folder/tools/bin/python" -m wheel unpack --dest "$build" "$pure" >/dev/null
+    mv "$build/code" "$build"/flexman_gym-*/flexman_gym/kernels/machine_code
+    "$folder/tools/bin/python" -m wheel pack --dest-dir "$build" "$build"/flexman_gym-* >/dev/null
+    name=$("$folder/tools/bin/python" -m wheel tags --remove --python-tag "$tag" --platform-tag "$platform" "$build"/*.whl)
+    mv "$build/$name" "$folder"
+
+    echo "$tag: using $name"
+    "$python" -m venv "$build/trial"
+    "$build/trial/bin/python" -m pip install --quiet "${TORCH:-torch}"
+    "$build/trial/bin/python" -m pip install --quiet "$folder/$name[train]"
+    mkdir "$build/work"
+    (cd "$build/work" && XDG_CACHE_HOME="$build/cache" ../trial/bin/python "$checkout/scripts/wheel_trial.py" --silent "$checkout/README.md")
+    (cd "$build/work" && XDG_CACHE_HOME="$build/cache" ../trial/bin/flexman check)
+    rm -r "$build"
+done
+rm -r "$folder/tools"
+ls -l "$folder"

@@ -25,15 +25,16 @@ class _CompileMessages(event.Listener):
     def on_start(self, event: Any) -> None:
         """Write a line of the terminal when Numba begins to compile a kernel of this package."""
         self._depth += 1
-        module = event.data["dispatcher"].py_func.__module__
-        if self._depth > 1 or is_quiet() or not sys.stderr.isatty() or not module.startswith(f"{__name__}."):
+        ours = event.data["dispatcher"].py_func.__module__.startswith(f"{__name__}.")
+        if self._depth > 1 or is_quiet() or not ours:
             return
         if not self._warned:
             print("flexman_gym compiles its kernels in every process, as no private cache folder can be written; set "
                   "NUMBA_CACHE_DIR to one", file=sys.stderr)  # fmt: skip
             self._warned = True
-        print(f"{ERASE}flexman_gym compiles a kernel, once", end="", file=sys.stderr, flush=True)
-        self._shown = True
+        if sys.stderr.isatty():
+            print(f"{ERASE}flexman_gym compiles a kernel, once", end="", file=sys.stderr, flush=True)
+            self._shown = True
 
     def on_end(self, event: Any) -> None:
         """Erase the line at the end of the kernel."""

@@ -18,6 +18,7 @@ from numba.core import event
 
 from flexman_gym.kernels.cache import is_quiet
 
+PACKAGE = Path(__file__).parents[1]
 SETTING = "FLEXMAN_COMPILE_AHEAD"
 DONE, LOCK = "first_use", "first_use.lock"  # files in the cache folder
 INTERVAL = 0.25  # s; time between two looks at the processes
@@ -56,13 +57,11 @@ class _Process:
     """Process with a share of the jobs; it prints a line for each function that it has compiled."""
 
     def __init__(self, share: Share) -> None:
-        package = Path(__file__).parents[1]
-        paths = [str(package.parent), *filter(None, [os.environ.get("PYTHONPATH")])]
+        paths = [str(PACKAGE.parent), *filter(None, [os.environ.get("PYTHONPATH")])]
         settings = os.environ | {SETTING: "0", "FLEXMAN_QUIET": "1", "PYTHONPATH": os.pathsep.join(paths)}
-        command = [sys.executable, "-m", package.name, "compile", *share.jobs, "--count"]
         self._share, self._factor = share, 1.0  # factor: duration / that of the share, measured in its first half
         self._started, self._compiled = time.monotonic(), 0
-        self._process = subprocess.Popen(command, env=settings, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+        self._process = subprocess.Popen(_command(share), env=settings, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
         os.set_blocking(self._output.fileno(), False)
 
     @property
@@ -85,6 +84,11 @@ class _Process:
         lines = self._process.stderr.read().decode(errors="replace").split("\n")  # type: ignore[union-attr]
         status = self._process.returncode
         return next((line for line in reversed(lines) if line.strip()), f"exit status {status}") if status else ""
+
+
+def _command(share: Share) -> list[str]:
+    """Return the command of a process."""
+    return [sys.executable, "-m", PACKAGE.name, "compile", *share.jobs, "--count"]
 
 
 def is_first_use(folder: str) -> bool:
@@ -134,7 +138,8 @@ def count_functions() -> None:
 
 def _idle_cores() -> int:
     """Return the number of cores without work, at least 1."""
-    return max(1, round(len(os.sched_getaffinity(0)) - os.getloadavg()[0]))
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return max(1, round(cores - os.getloadavg()[0]))
 
 
 def _run(shares: Sequence[Share]) -> str:

@@ -32,8 +32,8 @@ _LEVELS = {
 LEVELS: dict[str, str] = _LEVELS.get(platform.machine(), {})
 """Level, a name of a processor in LLVM -> instructions that it needs, by their names in LLVM; the fastest first.
 
-Those of x86-64 are the levels of its psABI, "generic" is what all processors of 64 bits by ARM have, and "apple-m1" what
-all those by Apple have.
+Those of x86-64 are the levels of its psABI. All 64-bit ARM processors have what "generic" needs, and those by
+Apple what "apple-m1" needs.
 """
 FOLDER = Path(__file__).parent / "machine_code"
 MADE_WITH = "made_with.json"  # file with the result of `made_with` when the folder was made

@@ -25,7 +25,8 @@ print(doubled(), sum(doubled.stats.cache_hits.values()), doubled.stats.cache_pat
 
 def process(folder, cache, script, **variables):
     """Start a process whose script imports the package from `folder`."""
-    environment = os.environ | {"PYTHONPATH": str(folder), "NUMBA_CACHE_DIR": str(cache)} | variables
+    settings = {"PYTHONPATH": str(folder), "NUMBA_CACHE_DIR": str(cache), "FLEXMAN_COMPILE_AHEAD": "0"}
+    environment = os.environ | settings | variables
     return subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, env=environment, cwd=folder)
 
 
