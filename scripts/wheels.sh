@@ -49,8 +49,9 @@ for python; do
     "$build/environment/bin/python" -m pip install --quiet "$pure"
     (cd "$build" && environment/bin/python "$checkout/scripts/machine_code.py" code "$checkout/scripts/kernel_uses.py")
     "$folder/tools/bin/python" -m wheel unpack --dest "$build" "$pure" >/dev/null
-    mv "$build/code" "$build"/flexman_gym-*/flexman_gym/kernels/machine_code
-    "$folder/tools/bin/python" -m wheel pack --dest-dir "$build" "$build"/flexman_gym-* >/dev/null
+    unpacked=$(echo "$build"/flexman_gym-*)
+    mv "$build/code" "$unpacked/flexman_gym/kernels/machine_code"
+    "$folder/tools/bin/python" -m wheel pack --dest-dir "$build" "$unpacked" >/dev/null
     name=$("$folder/tools/bin/python" -m wheel tags --remove --python-tag "$tag" --platform-tag "$platform" "$build"/*.whl)
     mv "$build/$name" "$folder"
 

@@ -68,7 +68,7 @@ IN_PLACE = {  # (file, call) -> reason why it does not write by `write_file` or 
     ("flexman_gym/common/files.py", "open('xb')"): "the temporary file of write_atomically",
     ("flexman_gym/common/files.py", "open('wb')"): "a device or a pipe",
     ("flexman_gym/common/run_folder.py", "fdopen('r+')"): "the lock of a folder, which has no content to lose",
-    ("flexman_gym/envs/vector_env.py", "open('w')"): "the lock of the cache of kernels, an empty file",
+    ("flexman_gym/kernels/first_use.py", "open('w')"): "the lock of the cache of kernels, an empty file",
     ("flexman_gym/toolbox/controllers/gain_table.py", "mkstemp"): "a cache that each process replaces by its own file",
     ("flexman_gym/toolbox/controllers/gain_table.py", "fdopen('wb')"): "the same",
 }

@@ -35,7 +35,8 @@ def _kernel_states() -> dict[str, str]:
 
     compiled = "in every process, as no folder has write access for this user only"
     if CACHE_FOLDER is not None:
-        compiled = f"{'' if first_use.is_done(CACHE_FOLDER) else 'not yet, '}in {CACHE_FOLDER}"
+        later = machine_code.LEVEL is None and not first_use.is_done(CACHE_FOLDER)
+        compiled = f"{'not yet, ' if later else ''}in {CACHE_FOLDER}"
     return {
         "machine code of the wheel": machine_code.LEVEL or f"not used: {machine_code.REASON}",
         "compiled kernels": compiled,

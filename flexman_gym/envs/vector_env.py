@@ -1,10 +1,7 @@
 """Vector environment: many arms with separate episodes, with the vector interface of Gymnasium."""
 
-import fcntl
 from collections.abc import Sequence
-from contextlib import nullcontext
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
@@ -26,7 +23,7 @@ from flexman_gym.envs.episodes import Episodes, validate_actions
 from flexman_gym.envs.infos import INFO_MODES, Infos, batched_info, flat_info, masked, with_masks
 from flexman_gym.envs.rendering import RENDER_KEYWORDS, make_renderer
 from flexman_gym.envs.stateful import Observations, StatefulEnv
-from flexman_gym.kernels import CACHE_FOLDER, layout
+from flexman_gym.kernels import layout
 from flexman_gym.simulation.batch import MAX_ARMS, Batch
 
 MAX_STEPS = 10**9  # largest max_episode_steps
@@ -295,13 +292,10 @@ class FlexManVectorEnv(StatefulEnv, VectorEnv[Observations, Array, Any]):
 
 @cache
 def compile_kernels() -> None:
-    """Compile the kernels of the environments, under a lock so that one process compiles while other processes wait."""
-    with (Path(CACHE_FOLDER) / "lock").open("w") if CACHE_FOLDER else nullcontext() as lock:
-        if lock is not None:
-            fcntl.flock(lock, fcntl.LOCK_EX)
-        for env in (gym.make("FlexRRR-v0"), gym.make_vec("FlexRRR-v0", 2, "vector_entry_point")):
-            env.reset(seed=0)
-            env.step(env.action_space.sample())
+    """Compile the kernels of the environments, so that processes started later load them."""
+    for env in (gym.make("FlexRRR-v0"), gym.make_vec("FlexRRR-v0", 2, "vector_entry_point")):
+        env.reset(seed=0)
+        env.step(env.action_space.sample())
 
 
 def _make_batch(configuration: Configuration, arms: int, threads: int) -> tuple[Batch, Any]:

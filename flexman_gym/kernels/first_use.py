@@ -12,6 +12,7 @@ import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import Any, NamedTuple
 
 from numba.core import event
@@ -61,7 +62,8 @@ class _Process:
         settings = os.environ | {SETTING: "0", "FLEXMAN_QUIET": "1", "PYTHONPATH": os.pathsep.join(paths)}
         self._share, self._factor = share, 1.0  # factor: duration / that of the share, measured in its first half
         self._started, self._compiled = time.monotonic(), 0
-        self._process = subprocess.Popen(_command(share), env=settings, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+        self._errors = TemporaryFile()
+        self._process = subprocess.Popen(_command(share), env=settings, stdout=subprocess.PIPE, stderr=self._errors)
         os.set_blocking(self._output.fileno(), False)
 
     @property
@@ -72,7 +74,8 @@ class _Process:
         """Return True if the process has ended; read its output and measure its speed."""
         if 2 * self._compiled < self._share.functions:
             self._compiled += (self._output.read() or b"").count(b"\n")
-            self._factor = max(self._factor, (time.monotonic() - self._started) / self._share.half)
+            factor = (time.monotonic() - self._started) / self._share.half
+            self._factor = factor if 2 * self._compiled >= self._share.functions else max(1.0, factor)
         return self._process.poll() is not None
 
     def remaining(self) -> float:
@@ -81,7 +84,9 @@ class _Process:
 
     def error(self) -> str:
         """Return the last line of the error of a process that has ended; empty if it succeeded."""
-        lines = self._process.stderr.read().decode(errors="replace").split("\n")  # type: ignore[union-attr]
+        with self._errors as file:
+            file.seek(0)
+            lines = file.read().decode(errors="replace").split("\n")
         status = self._process.returncode
         return next((line for line in reversed(lines) if line.strip()), f"exit status {status}") if status else ""
 

@@ -30,6 +30,8 @@ from studies.machine.measure import CURRENT, FitRow
 from studies.markdown import number_word
 from studies.results import Results
 from studies.safety.measure import SafetyRow
+from studies.starts.measure import COLD, WHEEL, StartRow
+from studies.starts.page import total
 
 Kind = TypeVar("Kind")
 UNKNOWN = f"{DEFAULT_ID}/unknown"  # scenario with unknown payload and stiffness, and a delay
@@ -215,10 +217,15 @@ def _training_minutes(sources: Sources) -> tuple[str]:
 
 
 def _compile_minutes(sources: Sources) -> tuple[str, str]:
-    """Return the CPU time of the first start, rounded to minutes, in words, and the mark of its rows."""
-    seconds = sum(row.cpu for row in sources.benchmark if row.table == "starts" and "nothing compiled yet" in row.name)
-    minutes = round(seconds / 60.0)
-    return "a minute" if minutes == 1 else f"{minutes} minutes", sources.mark("benchmark.csv")
+    """Return the CPU time of the first start, in minutes and words, and the mark of its rows."""
+    minutes = round(total(sources.rows("starts.csv", StartRow), COLD, "cpu") / 60.0)
+    return "a minute" if minutes == 1 else f"{minutes} minutes", sources.mark("starts.csv")
+
+
+def _wheel_seconds(sources: Sources) -> tuple[str, str]:
+    """Return the time of the first use of a wheel with machine code, s, and the mark of its rows."""
+    rows = sources.rows("starts.csv", StartRow)
+    return f"{total(rows, WHEEL):.0f}", sources.mark("starts.csv")
 
 
 def _steps(sources: Sources) -> tuple[str, str, str]:
@@ -307,7 +314,8 @@ SENTENCES = (  # with numbers of stored rows
     Sentence(r"differs by ([\d.]+) mm, and by ([\d.]+) mm without foreshortening", _tip_errors),
     Sentence(r"explains ([\d.]+) of the variance of the tip deflection \(median of (\d+) held-out runs\)", _held_out),
     Sentence(r"about ([\d.]+) minutes on one core", _training_minutes),
-    Sentence(r"\(about (a minute|\d+ minutes) of CPU time, in parts((?:; waiting for new rows)?)\)", _compile_minutes),
+    Sentence(r"\(once, about (a minute|\d+ minutes) of CPU time((?:; waiting for new rows)?)\)", _compile_minutes),
+    Sentence(r"first use of such a wheel takes ([\d.]+) s((?:, waiting for new rows)?) \(\[first", _wheel_seconds),
     Sentence(
         r"([\d,]+) control periods per second for one arm and ([\d,]+) for many arms in one call "
         r"\(`gym.make_vec`, \[benchmark\]\(docs/evidence/benchmark.md\)((?:; waiting for new rows)?)\)",

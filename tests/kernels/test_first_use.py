@@ -109,12 +109,12 @@ def test_without_a_terminal_nothing_is_written(package):
 
 
 def test_the_remaining_time_follows_the_measured_speed(monkeypatch):
-    """A process as fast as listed, and one twice as slow, measured when half of its functions are compiled."""
+    """A process as fast as listed, and others, measured when half of its functions are compiled."""
     share, clock = first_use.Share(("batch",), 30.0, 10, 12.0), [100.0]
     monkeypatch.setattr(first_use.time, "monotonic", lambda: clock[0])
     script = "import time; print('\\n' * 4, flush=True); time.sleep(600)"  # 5 functions
     monkeypatch.setattr(first_use, "_command", lambda share: [sys.executable, "-c", script])
-    for factor in (1.0, 2.0):
+    for factor in (0.5, 1.0, 2.0):
         started = clock[0]
         running = first_use._Process(share)
         assert running.remaining() == 30.0

@@ -27,7 +27,7 @@ def quick(tmp_path_factory):
 
 def test_every_row_has_its_cost_and_a_finite_ratio(quick):
     rows = quick
-    tables = {measure.ENVIRONMENTS, measure.PARTS, measure.STARTS, measure.EVALUATIONS}
+    tables = {measure.ENVIRONMENTS, measure.PARTS, measure.EVALUATIONS}
     assert {row.table for row in rows} == tables
     for row in rows:
         assert 0.0 < row.cpu < 100.0 and 0.0 < row.wall < 100.0, row.name

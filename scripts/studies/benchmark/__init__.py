@@ -1,1 +1,1 @@
-"""Benchmark of environment steps, training and start-up, compared with other simulators."""
+"""Benchmark of environment steps and training, compared with other simulators."""

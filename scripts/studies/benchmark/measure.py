@@ -1,14 +1,8 @@
-"""Benchmark measurements: environment steps, their parts, evaluations of the dynamics, start-up times."""
+"""Benchmark measurements: environment steps, their parts, evaluations of the dynamics."""
 
-import json
-import os
-import subprocess
-import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
 import gymnasium as gym
@@ -24,7 +18,7 @@ from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.worker_thread import WorkerThread
 from studies.stopwatch import Timer, in_turns, repeated, timer
 
-EVALUATIONS, ENVIRONMENTS, PARTS, STARTS = "evaluations", "environments", "parts", "starts"
+EVALUATIONS, ENVIRONMENTS, PARTS = "evaluations", "environments", "parts"
 
 
 @dataclass(frozen=True)
@@ -314,52 +308,3 @@ def _calls(arms: int) -> dict[str, Callable[[], object]]:
 
 def _nothing() -> None:
     pass
-
-
-ROOT = Path(__file__).parents[3]
-IMPORT, FIRST, MORE = "import flexman_gym", "gym.make and first reset", "then gym.make_vec of 64 arms and first reset"
-COLD, WARM = "nothing compiled yet", "compiled kernels on disk"
-SCRIPT = f"""
-import json, time
-marks = [(time.process_time(), time.perf_counter())]
-def mark():
-    marks.append((time.process_time(), time.perf_counter()))
-import flexman_gym
-mark()
-import gymnasium as gym
-gym.make("FlexRRR-v0").reset(seed=0)
-mark()
-gym.make_vec("FlexRRR-v0", 64, "vector_entry_point").reset(seed=0)
-mark()
-names = {[IMPORT, FIRST, MORE]}
-print(json.dumps({{n: [b - a for a, b in zip(*p)] for n, p in zip(names, zip(marks, marks[1:]))}}))
-"""
-
-
-def _start(cache: str | None = None) -> dict[str, list[float]]:
-    """Return CPU and wall-clock time (s) of each phase of a new process; `cache` is the folder of compiled kernels."""
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), *_paths()])}
-    if cache is not None:
-        environment["NUMBA_CACHE_DIR"] = cache
-    done = subprocess.run([sys.executable, "-c", SCRIPT], capture_output=True, text=True, env=environment, check=True)
-    result: dict[str, list[float]] = json.loads(done.stdout)
-    return result
-
-
-def _paths() -> list[str]:
-    return [path for path in os.environ.get("PYTHONPATH", "").split(os.pathsep) if path]
-
-
-def start_rows(rounds: int, cold: bool) -> list[BenchmarkRow]:
-    """Measure warm starts (medians over the rounds) and, if `cold`, a start with compilation (over a minute)."""
-    result: list[BenchmarkRow] = []
-    if cold:
-        with TemporaryDirectory() as cache:
-            for name, (cpu, wall) in _start(cache).items():
-                result.append(BenchmarkRow(STARTS, f"{name}, {COLD}", None, None, cpu, wall))
-    _start()  # compiles missing kernels
-    starts = [_start() for _ in range(rounds)]
-    for name in starts[0]:
-        cpu, wall = np.median([each[name] for each in starts], axis=0)
-        result.append(BenchmarkRow(STARTS, f"{name}, {WARM}", None, None, float(cpu), float(wall)))
-    return result

@@ -1,22 +1,16 @@
-"""Page of the benchmark: speeds of environments, training and start-up."""
+"""Page of the benchmark: speeds of environments and training."""
 
 from collections.abc import Mapping, Sequence
 
 from flexman_gym.common.markdown import markdown_table
 from studies.benchmark.endurance import ALARMS, DIVERGED, MEMORY, STEPS, WARM_MEMORY, EnduranceRow
 from studies.benchmark.measure import (
-    COLD,
     ENVIRONMENTS,
-    FIRST,
-    IMPORT,
-    MORE,
     OURS,
     PHYSICS,
     PPO,
     REACHER,
-    STARTS,
     VECTOR,
-    WARM,
     BenchmarkRow,
 )
 from studies.screen import screen
@@ -36,8 +30,6 @@ step.
 TRAINING = """- PPO with {arms} arms processes {speed} steps per CPU second, learning included. The simulation takes
   {share:.0%} of the time, with one control period per action; recipes that repeat an action for several periods
   spend more."""
-START = """- The import takes {after} s of CPU time, and the first reset {first} s more. On a new computer the
-  kernels are compiled in parts: {cold} s, of which {first_cold} s before the first reset of a single environment."""
 EFFECTS = """- Foreshortening multiplies the cost of an evaluation of the equations of motion by
   {foreshortening:.2f}, rotary inertia by {rotary:.2f}."""
 ENDURED = """- {steps} random steps with all randomisations: {diverged} divergences, {alarms} energy alarms,
@@ -69,7 +61,7 @@ def page(rows: Sequence[BenchmarkRow], endured: Sequence[EnduranceRow], files: M
         single=_speed(single.cpu), best=_speed(best.cpu), arms=number(best.arms), peer=REACHER,
         single_times=number(single.times_peer), best_times=number(best.times_peer),
     )  # fmt: skip
-    texts = [*_training(rows), *_starts(rows), *_effects(rows), *_endured(endured)]
+    texts = [*_training(rows), *_effects(rows), *_endured(endured)]
     body = BODY.format(table="\n".join(table), texts="\n".join(texts))
     return screen("Speed", QUESTION, answer, body, files, "benchmark")
 
@@ -89,15 +81,6 @@ def _training(rows: Sequence[BenchmarkRow]) -> list[str]:
         TRAINING.format(arms=number(row.arms), speed=_speed(row.cpu), share=row.share or 0.0)
         for row in rows if row.name == PPO
     ]  # fmt: skip
-
-
-def _starts(rows: Sequence[BenchmarkRow]) -> list[str]:
-    cpu = {row.name: row.cpu for row in rows if row.table == STARTS}
-    first = cpu.get(f"{FIRST}, {COLD}")
-    if first is None:
-        return []
-    known = {"first": number(cpu[f"{FIRST}, {WARM}"], 2), "after": number(cpu[f"{IMPORT}, {WARM}"], 2)}
-    return [START.format(**known, cold=number(first + cpu[f"{MORE}, {COLD}"], 2), first_cold=number(first, 2))]
 
 
 def _effects(rows: Sequence[BenchmarkRow]) -> list[str]:

@@ -9,7 +9,7 @@ from studies.benchmark.endurance import ALLOWED, MEMORY, SETTLED, WARM_MEMORY, E
 from studies.benchmark.page import page
 from studies.study import QUICK, Study, Table
 
-EVALUATION_ROUNDS, PART_ROUNDS, STARTS = 40, 15, 5
+EVALUATION_ROUNDS, PART_ROUNDS = 40, 15
 FEW_STEPS, FEW_ARMS = 3000, 8  # of the endurance test with --quick
 PEERS = ("gymnasium", "stable-baselines3", "torch", "mujoco", "pin")
 
@@ -18,7 +18,6 @@ def speeds(small: bool) -> Iterator[benchmark.BenchmarkRow]:
     """Yield the rows of all benchmarks, each in interleaved rounds."""
     yield from benchmark.environment_rows(benchmark.QUICK if small else benchmark.Grid())
     yield from benchmark.part_rows(1 if small else PART_ROUNDS)
-    yield from benchmark.start_rows(1 if small else STARTS, cold=not small)
     yield from benchmark.evaluation_rows(2 if small else EVALUATION_ROUNDS)
 
 
