@@ -62,7 +62,7 @@ class _Process:
         settings = os.environ | {SETTING: "0", "FLEXMAN_QUIET": "1", "PYTHONPATH": os.pathsep.join(paths)}
         self._share, self._factor = share, 1.0  # factor: duration / that of the share, measured in its first half
         self._started, self._compiled = time.monotonic(), 0
-        self._errors = TemporaryFile()
+        self._errors = TemporaryFile()  # noqa: SIM115  closed by `error`
         self._process = subprocess.Popen(_command(share), env=settings, stdout=subprocess.PIPE, stderr=self._errors)
         os.set_blocking(self._output.fileno(), False)
 

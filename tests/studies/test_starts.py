@@ -20,7 +20,7 @@ def test_the_page_has_a_column_for_each_way_that_was_measured():
     both = rows(COLD, 12.0) + rows(WARM, 0.5)
     text = " ".join(page(both, {"starts.csv": "computer"}).split())
     assert "Where kernels are compiled 60 s, once; from then on 2 s." in text and WHEEL not in text
-    assert f"|  | {COLD} | {WARM} |" in text and "| 64 arms | 12.00 (24.00) | 0.50 (1.00) |" in text
+    assert f"| | {COLD} | {WARM} |" in text and "| 64 arms | 12.00 (24.00) | 0.50 (1.00) |" in text
     text = " ".join(page(both + rows(WHEEL, 0.4), {"starts.csv": "computer"}).split())
     assert "With a wheel that brings machine code the first use takes 2 s;" in text
 
