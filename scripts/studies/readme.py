@@ -145,6 +145,11 @@ class Sources:
         return self.rows("learning.csv", LearningRow)
 
     @cached_property
+    def starts(self) -> list[StartRow]:
+        """Times of a first use."""
+        return self.rows("starts.csv", StartRow)
+
+    @cached_property
     def benchmark(self) -> list[BenchmarkRow]:
         """Computing times."""
         return self.rows("benchmark.csv", BenchmarkRow)
@@ -218,14 +223,13 @@ def _training_minutes(sources: Sources) -> tuple[str]:
 
 def _compile_minutes(sources: Sources) -> tuple[str, str]:
     """Return the CPU time of the first start, in minutes and words, and the mark of its rows."""
-    minutes = round(total(sources.rows("starts.csv", StartRow), COLD, "cpu") / 60.0)
+    minutes = round(total(sources.starts, COLD, "cpu") / 60.0)
     return "a minute" if minutes == 1 else f"{minutes} minutes", sources.mark("starts.csv")
 
 
 def _wheel_seconds(sources: Sources) -> tuple[str, str]:
     """Return the time of the first use of a wheel with machine code, s, and the mark of its rows."""
-    rows = sources.rows("starts.csv", StartRow)
-    return f"{total(rows, WHEEL):.0f}", sources.mark("starts.csv")
+    return f"{total(sources.starts, WHEEL):.0f}", sources.mark("starts.csv")
 
 
 def _steps(sources: Sources) -> tuple[str, str, str]:

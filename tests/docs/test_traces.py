@@ -41,6 +41,7 @@ SENTENCE_FILES = {
     "benchmark": "benchmark.csv",
     "machine": "machine.csv",
     "safety": "safety.csv",
+    "starts": "starts.csv",
     "verification": "verification.csv",
 }  # attribute of the sources -> file
 CONTROL_SCENARIOS = [f"{DEFAULT_ID}/{end}" for end in ("unknown", "unknown-lab", "uncertain", "unmodelled")]
