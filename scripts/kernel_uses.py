@@ -14,6 +14,7 @@ import gymnasium as gym
 import numpy as np
 
 import flexman_gym as fm
+from flexman_gym.__main__ import main as main_of_flexman
 from flexman_gym.commands.compile import USES
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.simulation.batch import Batch
@@ -65,6 +66,11 @@ def evaluate() -> None:
     env.render()
 
 
+def try_arm() -> None:
+    """Try controllers on an arm of the catalog."""
+    main_of_flexman(["arm", "vertical_2r", "--try"])
+
+
 def step_environments() -> None:
     """Step each named environment, alone and two at once."""
     for name in NAMED_ENVIRONMENTS:
@@ -78,7 +84,7 @@ JOBS = (
     (first_use, "batch"), (first_use, "single"), (first_use, "control"), (first_use, "simulation"),
     (step_arms, 9), (step_arms, 1), (simulate_all,), (differentiate,),
     (simulate, "midpoint_corrected_3", "gauss_2", "implicit_midpoint"),
-    (simulate, "rk4", "ros2", "extrapolated_euler_5"), (evaluate,), (step_environments,),
+    (simulate, "rk4", "ros2", "extrapolated_euler_5"), (evaluate,), (try_arm,), (step_environments,),
 )  # fmt: skip
 
 

@@ -76,7 +76,7 @@ def main() -> int:
     uses = {
         "README": lambda: run_readme(options.readme.read_text()),
         "simulation of the paper's arm": simulate,
-        "flexman arm paper_rrr --try": command("arm", "paper_rrr", "--try"),
+        "flexman arm vertical_2r --try": command("arm", "vertical_2r", "--try"),
         "flexman train ppo_on_pd_minute": command("train", "ppo_on_pd_minute", "--steps", "2000", "--quiet",
                                                   "--folder", "runs/trial"),
         "a crane": step("FlexCrane-v0"),

@@ -6,6 +6,7 @@ import sys
 
 from oracles.files import ROOT
 
+LONGEST = 200.0  # s; a process that lasts longer waits for ever
 CALLEE = """from flexman_gym.kernels.compile import kernel
 @kernel
 def constant():
@@ -27,7 +28,8 @@ def process(folder, cache, script, **variables):
     """Start a process whose script imports the package from `folder`."""
     settings = {"PYTHONPATH": str(folder), "NUMBA_CACHE_DIR": str(cache), "FLEXMAN_COMPILE_AHEAD": "0"}
     environment = os.environ | settings | variables
-    return subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, env=environment, cwd=folder)
+    command = [sys.executable, "-c", script]
+    return subprocess.run(command, capture_output=True, text=True, env=environment, cwd=folder, timeout=LONGEST)
 
 
 def run(folder, cache, script, **variables):
