@@ -13,7 +13,7 @@ import numba
 from numba.core import event
 
 from flexman_gym.kernels.cache import find_cache_folder, is_quiet
-from flexman_gym.kernels.first_use import ERASE
+from flexman_gym.kernels.first_use import show_line
 
 
 class _CompileMessages(event.Listener):
@@ -32,15 +32,14 @@ class _CompileMessages(event.Listener):
             print("flexman_gym compiles its kernels in every process, as no private cache folder can be written; set "
                   "NUMBA_CACHE_DIR to one", file=sys.stderr)  # fmt: skip
             self._warned = True
-        if sys.stderr.isatty():
-            print(f"{ERASE}flexman_gym compiles a kernel, once", end="", file=sys.stderr, flush=True)
-            self._shown = True
+        show_line("flexman_gym compiles a kernel, once")
+        self._shown = True
 
     def on_end(self, event: Any) -> None:
         """Erase the line at the end of the kernel."""
         self._depth -= 1
         if self._depth == 0 and self._shown:
-            print(ERASE, end="", file=sys.stderr, flush=True)
+            show_line("")
             self._shown = False
 
 

@@ -161,7 +161,12 @@ def _run(shares: Sequence[Share]) -> str:
 
 
 def _show_remaining(seconds: float) -> None:
-    """Write the remaining time (s) in a line of the terminal, if stderr is one; erase the line at the end."""
+    """Write the remaining time (s) in the line of the terminal; erase the line at the end."""
+    show_line(f"flexman_gym compiles its kernels, once: about {seconds:.0f} s left" if seconds else "")
+
+
+def show_line(text: str) -> None:
+    """Replace the last line of the terminal, if stderr is one; an empty text erases it."""
     if not is_quiet() and sys.stderr.isatty():
-        line = f"flexman_gym compiles its kernels, once: about {seconds:.0f} s left" if seconds else ""
-        print(f"{ERASE}{line}", end="", file=sys.stderr, flush=True)
+        sys.stderr.write(f"{ERASE}{text}")
+        sys.stderr.flush()
