@@ -34,6 +34,7 @@ from numba.extending import (
     unbox,
 )
 from numba.np import arrayobj
+from numpy.typing import NDArray
 
 from flexman_gym.kernels.lanes import ARMS, NUMBER, SEQUENCES, TANGENTS, Lanes
 from flexman_gym.kernels.layout import ARMS_PER_GROUP, Array, Constants, IntArray, PerArm, Period, Work
@@ -245,11 +246,13 @@ def _kind(parts: type, name: str, element: types.Type, own: frozenset[str]) -> t
     return _ArrayField(NUMBER, dimensions, readonly=True)
 
 
+SCALARS = {NDArray[each]: each for each in (np.float64, np.float32, np.int64, np.bool_)}
+
+
 def _scalar(parts: type, name: str) -> Any:
     """Return the scalar type of a field."""
     annotation = parts.__annotations__[name]
-    array = get_args(annotation)[0] if hasattr(annotation, "__metadata__") else annotation
-    return get_args(get_args(array)[1])[0]
+    return SCALARS[get_args(annotation)[0] if hasattr(annotation, "__metadata__") else annotation]
 
 
 @cache
