@@ -159,7 +159,7 @@ class Copy:
         environment |= {"PYTHONPATH": os.pathsep.join(names), "PYTHONDONTWRITEBYTECODE": "1"}
         kernels = self.root / "build" / "kernels"
         if own_kernels:
-            environment["NUMBA_CACHE_DIR"] = str(kernels)
+            environment |= {"NUMBA_CACHE_DIR": str(kernels), "FLEXMAN_COMPILE_AHEAD": "0"}
         try:
             done = subprocess.run(
                 command, cwd=self.root, env=environment, capture_output=True, text=True, timeout=LONGEST
