@@ -37,7 +37,7 @@ from numba.np import arrayobj
 from numpy.typing import NDArray
 
 from flexman_gym.kernels.lanes import ARMS, NUMBER, SEQUENCES, TANGENTS, Lanes
-from flexman_gym.kernels.layout import ARMS_PER_GROUP, Array, Constants, IntArray, PerArm, Period, Work
+from flexman_gym.kernels.layout import ARMS_PER_GROUP, Array, Constants, Flags, IntArray, PerArm, Period, Work
 
 
 class _ArrayField(types.Array):
@@ -246,7 +246,7 @@ def _kind(parts: type, name: str, element: types.Type, own: frozenset[str]) -> t
     return _ArrayField(NUMBER, dimensions, readonly=True)
 
 
-SCALARS = {NDArray[each]: each for each in (np.float64, np.float32, np.int64, np.bool_)}
+SCALARS: dict[Any, Any] = {Array: np.float64, IntArray: np.int64, Flags: np.bool_, NDArray[np.float32]: np.float32}
 
 
 def _scalar(parts: type, name: str) -> Any:
