@@ -18,6 +18,7 @@ from flexman_gym.common.errors import value_error
 from flexman_gym.common.progress import Progress
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.episodes import Episodes
+from flexman_gym.envs.tasks.task import Task
 from flexman_gym.evaluation.agent_spec import AgentSpec, has_instrument_errors, split_interface
 from flexman_gym.evaluation.agents import find_agent
 from flexman_gym.metrics import BAND, damping_ratio
@@ -314,6 +315,7 @@ def _keywords(agent: AgentSpec, environment: Configuration) -> dict[str, Any]:
     return keywords
 
 
+@Task.register  # from Python 3.12 on the check of a protocol does not call __getattr__
 class _ObservedTask:
     """Task of an environment, with the sensors of the task on which a policy was trained."""
 
