@@ -75,7 +75,7 @@ def main() -> int:
     options = parser.parse_args()
     uses = {
         "README": lambda: run_readme(options.readme.read_text()),
-        "simulation of the paper's arm": simulate,
+        "simulation of the paper's arm": simulate_paper,
         "flexman arm vertical_2r --try": command("arm", "vertical_2r", "--try"),
         "flexman train ppo_on_pd_minute": command("train", "ppo_on_pd_minute", "--steps", "2000", "--quiet",
                                                   "--folder", "runs/trial"),
@@ -97,7 +97,7 @@ def main() -> int:
     return 1 if compiled and options.silent else 0
 
 
-def simulate() -> None:
+def simulate_paper() -> None:
     """Simulate a scene of the paper."""
     import flexman_gym as fm
 

@@ -1,7 +1,7 @@
 #!/bin/sh
 # Builds the wheels of a release into a new folder: one for every platform, in which kernels compile, and, for each
-# Python, one with the machine code of the kernels for processors of the kind of this machine. Each is installed in an
-# empty environment and used there without a compilation.
+# Python, one with the machine code of the kernels for processors of the kind of this machine. Those with machine code
+# are installed in empty environments and used there without a compilation.
 #
 #     scripts/wheels.sh FOLDER [PYTHON ...]
 #
@@ -26,6 +26,7 @@ if [ $# -eq 0 ]; then
         echo "No Python $version here: for its wheel run scripts/wheels.sh FOLDER PYTHON with one"
     done
 fi
+[ $# -gt 0 ] || { echo "no Python of 3.11, 3.12, 3.13 is found; name one" >&2; exit 1; }
 machine=$(uname -m)
 case "$(uname -s)" in
     Linux) platform=manylinux_2_28_$machine ;;

@@ -26,11 +26,9 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
 
 def _run(options: argparse.Namespace) -> int:
     """Compile the kernels; return the exit status."""
-    from flexman_gym.kernels.first_use import JOBS
+    from flexman_gym.kernels.first_use import JOBS, count_functions
 
     if options.count:
-        from flexman_gym.kernels.first_use import count_functions
-
         count_functions()
     for job in options.job:
         if job not in JOBS:

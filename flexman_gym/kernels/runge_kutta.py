@@ -26,10 +26,10 @@ MIN_STEP = 1e-14  # dimensionless; smallest step as a fraction of the interval b
 
 @inner
 def _resume(work):
-    """Return True after a pause, and the simulated time (s) since the last output; clear them."""
+    """Return the first stage, 1 after a pause, and the simulated time (s) since the last output; clear both."""
     paused, elapsed = work.progress[0], work.progress[1]
     work.progress[:] = 0.0
-    return paused > 0.0, elapsed
+    return 1 if paused > 0.0 else 0, elapsed
 
 
 @inner
@@ -150,8 +150,7 @@ def run_adaptive(constants, work, method, tableau, table, grid, state, rows, out
     load_foundation(work, table)
     d, evaluations = len(state) // 2 - 1, 0
     step_size = work.next_step[0] if work.next_step[0] > 0.0 else grid.step
-    paused, elapsed = _resume(work)
-    first_stage = 1 if paused else 0
+    first_stage, elapsed = _resume(work)
     for r in range(len(rows)):
         last = grid.substeps == 0
         while not last:
