@@ -13,7 +13,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 from tempfile import TemporaryFile
-from typing import Any, NamedTuple
+from typing import IO, Any, NamedTuple
 
 from numba.core import event
 
@@ -118,13 +118,29 @@ def compile_first_use(folder: str) -> str:
     global _tried
     _tried = True
     with (Path(folder) / LOCK).open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
+        _wait_for(lock)
         if is_done(folder):
             return ""
         error = _run(SHARES[min(_idle_cores(), max(SHARES))])
         if not error:
             (Path(folder) / DONE).touch()
         return error
+
+
+def compile_when_needed() -> None:
+    """Let this process compile each kernel at its first use, as its kernels are others than those of `JOBS`."""
+    global _tried
+    _tried = True
+
+
+def _wait_for(lock: IO[str]) -> None:
+    """Lock a file; a line on the terminal tells that another process compiles meanwhile."""
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        show_line("flexman_gym waits for another process that compiles its kernels")
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        show_line("")
 
 
 def count_functions() -> None:

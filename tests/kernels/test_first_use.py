@@ -1,5 +1,6 @@
 """One wait for the kernels of the first use: in processes, of which a small package has its own."""
 
+import fcntl
 import os
 import pty
 import subprocess
@@ -76,6 +77,27 @@ def test_kernels_compile_in_the_process_itself_if_the_jobs_fail(package, command
 def test_a_setting_turns_it_off(package):
     assert run(package, package / "cache", CALL)[:2] == ["2", "0"]
     assert not (package / "flexman_gym" / "calls").exists()
+
+
+@pytest.mark.slow
+def test_a_process_can_compile_each_kernel_when_it_is_needed(package):
+    script = f"from flexman_gym.kernels import first_use; first_use.compile_when_needed(); {CALL}"
+    assert run(package, package / "cache", script, **ALLOWED)[:2] == ["2", "0"]
+    assert not (package / "flexman_gym" / "calls").exists()
+
+
+def test_a_process_that_waits_for_another_one_tells_so(tmp_path, monkeypatch):
+    lines, told = [], threading.Event()
+    monkeypatch.setattr(first_use, "show_line", lambda text: (lines.append(text), told.set()))
+    with (tmp_path / "lock").open("w") as theirs, (tmp_path / "lock").open("w") as own:
+        fcntl.flock(theirs, fcntl.LOCK_EX)
+        waiting = threading.Thread(target=first_use._wait_for, args=(own,))
+        waiting.start()
+        assert told.wait(60.0)
+        assert lines == ["flexman_gym waits for another process that compiles its kernels"] and waiting.is_alive()
+        fcntl.flock(theirs, fcntl.LOCK_UN)
+        waiting.join(60.0)
+        assert lines[1:] == [""]
 
 
 @pytest.mark.slow
