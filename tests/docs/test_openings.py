@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
+from flexman_gym.toolbox.precision.runs import PrecisionRow as Run
 from studies.benchmark.measure import OURS, PPO, VECTOR
 from studies.benchmark.measure import BenchmarkRow as Speed
 from studies.control.cases import CASES
@@ -14,7 +15,6 @@ from studies.files import read_rows
 from studies.learning.measure import TASKS
 from studies.learning.measure import LearningRow as Learned
 from studies.learning.page import MOVING, SLEWS
-from studies.precision.measure import PrecisionRow as Run
 from studies.ringdown.measure import RingDownRow as Released
 from studies.safety.learning import LearningRow as Safe
 from studies.servos.measure import ServoRow as Servo

@@ -14,4 +14,4 @@ def mujoco():
 @pytest.fixture(scope="session")
 def mujoco_peer(mujoco):
     """Return the module of the MuJoCo models."""
-    return importlib.import_module("studies.peers.mujoco")
+    return importlib.import_module("flexman_gym.toolbox.precision.peers.mujoco")

@@ -50,7 +50,7 @@ def test_a_row_is_its_own_peer_once(quick):
 
 
 def test_peers_that_are_missing_are_named_and_left_out(monkeypatch, capsys):
-    for name in ("mujoco", "pinocchio", "studies.benchmark.mujoco", "studies.peers.pinocchio"):
+    for name in ("mujoco", "pinocchio", "studies.benchmark.mujoco", "flexman_gym.toolbox.precision.peers.pinocchio"):
         monkeypatch.setitem(sys.modules, name, None)
     monkeypatch.setattr(measure, "find_spec", lambda name: None)
     rows = measure.environment_rows(measure.Grid(arms=(1, 2), steps=2, singles=2, physics=(1, 1), rounds=1))

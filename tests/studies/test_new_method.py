@@ -8,10 +8,11 @@ import pytest
 from flexman_gym.common.plot_style import rgb
 from flexman_gym.scene import catalog
 from flexman_gym.simulation.methods import METHODS
+from flexman_gym.toolbox.precision.runs import PrecisionRow as Run
+from flexman_gym.toolbox.precision.runs import PrecisionScene, ReferenceSolution
 from studies.methods import explicit_methods, line_styles
 from studies.precision.charts import SHOWN as precision
-from studies.precision.measure import PrecisionRow as Run
-from studies.precision.measure import ReferenceSolution, Study, grid
+from studies.precision.measure import grid
 from studies.ringdown.page import SHOWN as ring_down
 from studies.stability.rows import amplification_rows, drift_rows, limit_rows
 
@@ -33,9 +34,12 @@ def runs(monkeypatch):
             known = {"rtol" if adaptive else "step": setting, "cpu": 1.0 / setting, "time_error": 0.01 * setting}
             yield replace(RUN, model=model, method=method, **known)
 
-    monkeypatch.setattr(Study, "ladder", ladder)
+    monkeypatch.setattr(PrecisionScene, "ladder", ladder)
     return list(
-        grid(Study("a scene", catalog.paper_scene("ff"), {MODEL: None}, ReferenceSolution(None, 0.0, ""), {}), (MODEL,))
+        grid(
+            PrecisionScene("a scene", catalog.paper_scene("ff"), {MODEL: None}, ReferenceSolution(None, 0.0, ""), {}),
+            (MODEL,),
+        )
     )
 
 

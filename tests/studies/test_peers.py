@@ -9,9 +9,11 @@ from scipy.linalg import eigh
 
 import flexman_gym as fm
 from flexman_gym.toolbox.interchange.mjcf import to_mjcf
+from flexman_gym.toolbox.precision.peers.peer_run import with_rigid_joints
+from flexman_gym.toolbox.precision.runs import PrecisionRow
 from studies.peers import measure
-from studies.peers.measure import decay, decays, with_rigid_joints
-from studies.precision.measure import PrecisionRow, cost_at
+from studies.peers.measure import decay, decays
+from studies.precision.measure import cost_at
 
 ARM, SCENE = fm.catalog.paper_rrr(), fm.catalog.paper_scene("ff")
 ROW = PrecisionRow("paper_ff", "2 elements a link", "ros2", 1e-3, None, 0.02, 0.02, 1e3, 2e-3, 3e-2, "ok")
@@ -21,7 +23,7 @@ ROW = PrecisionRow("paper_ff", "2 elements a link", "ros2", 1e-3, None, 0.02, 0.
 def exudyn_peer():
     """Return the module of the Exudyn models."""
     try:
-        return importlib.import_module("studies.peers.exudyn")
+        return importlib.import_module("flexman_gym.toolbox.precision.peers.exudyn")
     except ModuleNotFoundError as error:
         pytest.skip(str(error))
 
@@ -30,7 +32,7 @@ def exudyn_peer():
 def pinocchio_peer():
     """Return the module of the Pinocchio models."""
     pytest.importorskip("pinocchio")
-    return importlib.import_module("studies.peers.pinocchio")
+    return importlib.import_module("flexman_gym.toolbox.precision.peers.pinocchio")
 
 
 def short(arm, duration=0.2):

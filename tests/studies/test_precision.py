@@ -14,19 +14,10 @@ from flexman_gym.model.model import build_model
 from flexman_gym.scene import catalog
 from flexman_gym.simulation.methods import METHODS
 from flexman_gym.simulation.scene_simulation import simulate
+from flexman_gym.toolbox.precision.runs import PrecisionRow, ReferenceSolution, pareto_front
 from studies.methods import largest_growth
 from studies.peers.measure import CUT_MESH, CUT_MODES
-from studies.precision.measure import (
-    RIGID_LINKS,
-    PrecisionRow,
-    ReferenceSolution,
-    cases,
-    cheapest,
-    choices,
-    pareto_front,
-    setbacks,
-    whirl_scene,
-)
+from studies.precision.measure import RIGID_LINKS, cases, cheapest, choices, setbacks, whirl_scene
 from studies.precision.page import compute
 
 from oracles.files import REFERENCE

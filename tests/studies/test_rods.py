@@ -9,7 +9,7 @@ import pytest
 
 import flexman_gym as fm
 from flexman_gym.toolbox.interchange.mjcf import to_mjcf
-from studies.precision.measure import ReferenceSolution, Study
+from flexman_gym.toolbox.precision.runs import PrecisionScene, ReferenceSolution
 
 ARM, SCENE = fm.catalog.paper_rrr(), fm.catalog.paper_scene("ff")
 
@@ -77,6 +77,6 @@ def test_a_short_run_of_rods_is_near_ours(rods):
     scene = replace(SCENE, duration=0.3)
     model = fm.build_model(ARM, elements=3, stiffening=True)
     solution = ReferenceSolution(fm.simulate(scene, model, "implicit_midpoint", step=1e-3).tip, 0.0, "")
-    study = Study("short", scene, {}, solution, {})
+    study = PrecisionScene("short", scene, {}, solution, {})
     errors = [rods.run(study, length, "Euler", parts).total_error for length, parts in ((0.5, 110), (0.25, 220))]
     assert errors[1] < 0.4 * errors[0] < 2e-3

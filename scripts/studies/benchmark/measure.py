@@ -225,7 +225,7 @@ def _switches(arm: fm.Arm) -> dict[str, Timer]:
 
 def _pinocchio_aba(arm: fm.Arm, rigid: fm.Model, count: int = 500) -> Timer:
     """Return a timer of Pinocchio's ABA of the rigid arm with rotors, after a check of its accelerations."""
-    from studies.peers.pinocchio import pin, rigid_model
+    from flexman_gym.toolbox.precision.peers.pinocchio import pin, rigid_model
 
     model = rigid_model(arm)
     q, v, torque = np.random.default_rng(0).uniform(-1.0, 1.0, (3, arm.n_joints))

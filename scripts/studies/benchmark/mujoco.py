@@ -9,7 +9,7 @@ from mujoco import rollout
 from flexman_gym.common.arrays import Array
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.toolbox.interchange.mjcf import to_mjcf
-from studies.peers.mujoco import SANE
+from flexman_gym.toolbox.precision.peers.mujoco import SANE
 from studies.stopwatch import Timer, timer
 
 PIECES, FINEST, SEARCH_PERIODS = (

@@ -1,7 +1,6 @@
 """Comparison with other simulators: single runs, batches of arms, numerical damping."""
 
 import importlib
-import math
 import os
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -15,80 +14,11 @@ import flexman_gym as fm
 from flexman_gym.common.arrays import Array
 from flexman_gym.kernels import layout
 from flexman_gym.simulation.batch import Batch
+from flexman_gym.toolbox.precision.peers.peer_run import PeerRun, peer_row
+from flexman_gym.toolbox.precision.runs import PrecisionRow, PrecisionScene, ReferenceSolution, Timer
 from studies.methods import vibration_factor
-from studies.precision.measure import (
-    FINEST,
-    LARGE_ROTATION,
-    OK,
-    PLAIN,
-    RIGID,
-    RIGID_LINKS,
-    PrecisionRow,
-    ReferenceSolution,
-    Study,
-    models,
-)
+from studies.precision.measure import FINEST, LARGE_ROTATION, PLAIN, RIGID, RIGID_LINKS, models
 from studies.ringdown.measure import default_model
-
-Timer = Callable[[], PrecisionRow]
-
-
-@dataclass(frozen=True, eq=False)
-class PeerRun:
-    """Result and cost of a run of another simulator.
-
-    Attributes:
-        model, method: names of the model and of the integration method.
-        step: step, s.
-        tip: tip positions (T, 3) at the output times of the scene, m; NaN after a failure.
-        cpu, wall: CPU and wall-clock time per simulated second.
-        evaluations: evaluations of the equations of motion per simulated second.
-    """
-
-    model: str
-    method: str
-    step: float
-    tip: Array
-    cpu: float
-    wall: float
-    evaluations: float
-
-    @property
-    def finite(self) -> bool:
-        """True if all tip positions are finite and below 1000 m."""
-        return bool(np.isfinite(self.tip).all() and np.abs(self.tip).max() < 1e3)
-
-    def distance(self, tip: Array) -> float:
-        """Return the largest distance (m) from another tip motion (T, 3); infinite for a failed run."""
-        return float(np.linalg.norm(self.tip - tip, axis=1).max()) if self.finite else math.inf
-
-
-def row(study: Study, done: PeerRun, solution: ReferenceSolution | None = None, sane: float = math.inf) -> PrecisionRow:
-    """Return the row of a run; `solution` is the converged run of its model, `sane` (m) the limit of divergence."""
-    names, costs = (study.name, done.model, done.method, done.step, None), (done.cpu, done.wall, done.evaluations)
-    error = done.distance(study.reference.tip)
-    time_error = None if solution is None else done.distance(solution.tip)
-    return PrecisionRow(*names, *costs, time_error, error, OK if done.finite and error < sane else "diverged")
-
-
-def output_count(scene: fm.Scene, step: float) -> tuple[int, int]:
-    """Return the number of outputs after the start of a scene, and the number of steps (s) per output.
-
-    Raises:
-        ValueError: if the step does not divide the output step.
-    """
-    substeps = round(scene.output_step / step)
-    if abs(substeps * step - scene.output_step) > 1e-9 * scene.output_step:
-        raise ValueError(f"step: {step} is not allowed; give a number that divides {scene.output_step} s")
-    return round(scene.duration / scene.output_step), substeps
-
-
-def with_rigid_joints(scene: fm.Scene) -> fm.Scene:
-    """Return the scene with rigid joints: motors drive the links directly."""
-    joints = [replace(joint, stiffness=None, damping=0.0) for joint in scene.arm.joints]
-    model = replace(scene.model, flexible_joints=False)
-    return replace(scene, arm=replace(scene.arm, joints=joints), model=model)
-
 
 ROUNDS = 3
 FINE = [f"{mesh}, foreshortening" for mesh in ("1, 2 and 2 elements", "2 elements a link", "3 elements a link")]
@@ -108,7 +38,11 @@ MORE = {
     "generalised_alpha": range(4, 7),
 }  # models with studied time error
 PEERS = {"MuJoCo": "mujoco", "Exudyn": "exudyn", "Pinocchio": "pin", "SoRoMoX": "soromox"}  # simulator -> package
-MODULES = {"MuJoCo": ("mujoco", "rods"), "Exudyn": ("exudyn",), "Pinocchio": ("pinocchio",), "SoRoMoX": ("soromox",)}
+_PACKAGE = "flexman_gym.toolbox.precision.peers"
+MODULES = {
+    "MuJoCo": (f"{_PACKAGE}.mujoco", "studies.peers.rods"), "Exudyn": (f"{_PACKAGE}.exudyn",),
+    "Pinocchio": (f"{_PACKAGE}.pinocchio",), "SoRoMoX": ("studies.peers.soromox",),
+}  # fmt: skip
 
 
 def large_rotation_solution(reference: Path) -> ReferenceSolution:
@@ -118,13 +52,13 @@ def large_rotation_solution(reference: Path) -> ReferenceSolution:
     return ReferenceSolution(tip, ReferenceSolution(tip, 0.0, "").distance(finest), LARGE_ROTATION)
 
 
-def study(known: ReferenceSolution) -> Study:
+def study(known: ReferenceSolution) -> PrecisionScene:
     """Return the study: scene, reference, our models, and the converged solution of the paper's model."""
     scene = fm.catalog.paper_scene("ff")
     built = models(scene) | {CUT: fm.build_model(scene.arm, CUT_MESH, CUT_MODES, stiffening=True)}
     built[CHOSEN] = _chosen().model
     plain = ReferenceSolution(fm.simulate(scene, built[PLAIN], "rk4", step=1e-4).tip, 2e-8, "rk4, 0.1 ms")
-    return Study("paper_ff", scene, built, known, {PLAIN: plain})
+    return PrecisionScene("paper_ff", scene, built, known, {PLAIN: plain})
 
 
 def _chosen() -> fm.Choice:
@@ -133,7 +67,7 @@ def _chosen() -> fm.Choice:
     return fm.choose_model(replace(scene, model=replace(scene.model, elements=None)), TOLERANCE)
 
 
-def ours(result: Study) -> list[Timer]:
+def ours(result: PrecisionScene) -> list[Timer]:
     """Return timers of our runs: fine models, the paper's model (with time errors), and rigid models."""
     timers: list[Timer] = []
     for model in [CUT, *FINE, PLAIN]:
@@ -145,14 +79,12 @@ def ours(result: Study) -> list[Timer]:
     return timers + [lambda a=(model, "rk4", step): result.row(*a) for model, step in rigid]
 
 
-def theirs(result: Study) -> list[Timer]:
+def theirs(result: PrecisionScene) -> list[Timer]:
     """Return timers of the runs of all installed simulators."""
     timers: list[Timer] = []
     for name, modules in MODULES.items():
         try:
-            timers += [
-                each for module in modules for each in importlib.import_module(f"studies.peers.{module}").runs(result)
-            ]
+            timers += [each for module in modules for each in importlib.import_module(module).runs(result)]
         except ModuleNotFoundError:
             print(f"{name} is missing, so it is left out: pip install 'flexman_gym[peers]'")
     return timers
@@ -188,7 +120,7 @@ def our_arms(scene: fm.Scene, model: fm.Model, method: str) -> Iterator[Array]:
         yield batch.outputs[0, layout.TIP].copy()
 
 
-def batch_rows(study: Study, peers: Sequence[PrecisionRow]) -> list[PrecisionRow]:
+def batch_rows(study: PrecisionScene, peers: Sequence[PrecisionRow]) -> list[PrecisionRow]:
     """Measure batches of arms and return rows with CPU and wall-clock time per simulated second and arm."""
     scene = study.scene
     model, mesh = (
@@ -198,7 +130,7 @@ def batch_rows(study: Study, peers: Sequence[PrecisionRow]) -> list[PrecisionRow
     calls: dict[tuple[str, str, float], Tips] = {(*DEFAULT, STEP): partial(our_arms, scene, model, DEFAULT[1])}
     calls[*MESH, STEP] = partial(our_arms, scene, mesh, MESH[1])
     for pieces in PIECES if any(peer.model.startswith("MuJoCo") for peer in peers) else ():
-        from studies.peers.mujoco import batched_arms, longest_step
+        from flexman_gym.toolbox.precision.peers.mujoco import batched_arms, longest_step
 
         step = longest_step(study, pieces, "Euler")
         calls[f"MuJoCo, {pieces} pieces", "Euler, mujoco.batch", step] = partial(
@@ -208,7 +140,7 @@ def batch_rows(study: Study, peers: Sequence[PrecisionRow]) -> list[PrecisionRow
     return [min(turns, key=lambda each: each.wall) for turns in zip(*rounds, strict=True)]
 
 
-def _timed(study: Study, name: tuple[str, str, float], call: Tips) -> PrecisionRow:
+def _timed(study: PrecisionScene, name: tuple[str, str, float], call: Tips) -> PrecisionRow:
     """Return the row of a batch run; the first output step is excluded, since it loads or compiles kernels."""
     arms, count = call(), round(study.scene.duration / study.scene.output_step)
     tips = [study.reference.tip[0], next(arms)]
@@ -216,7 +148,7 @@ def _timed(study: Study, name: tuple[str, str, float], call: Tips) -> PrecisionR
     tips += [next(arms) for _ in range(count - 1)]
     simulated = ARMS * (count - 1) * study.scene.output_step
     costs = (time.process_time() - started[0]) / simulated, (time.perf_counter() - started[1]) / simulated
-    return row(replace(study, name=SCENE), PeerRun(*name, np.array(tips), *costs, 1.0 / name[-1]))
+    return peer_row(replace(study, name=SCENE), PeerRun(*name, np.array(tips), *costs, 1.0 / name[-1]))
 
 
 OURS, MODEL, DECAY_PIECES = (
@@ -252,7 +184,7 @@ def decays(arm: fm.Arm, rows: Sequence[PrecisionRow]) -> Iterator[Decay]:
     for name, step in OURS.items():
         yield Decay(f"ours, {name}", step, decay(vibration_factor(fm.METHODS[name], omega * step), step))
     for name, step in ((row.method, row.step or 0.0) for row in rows if row.model == MODEL):
-        from studies.peers.mujoco import step_factors
+        from flexman_gym.toolbox.precision.peers.mujoco import step_factors
 
         factors = step_factors(arm, DECAY_PIECES, name, step)
         factor = factors[np.abs(factors - np.exp(1j * omega * step)).argmin()]  # factor of the lowest mode

@@ -5,9 +5,10 @@ from pathlib import Path
 
 from flexman_gym.common.markdown import markdown_table
 from flexman_gym.common.plot_style import BLUE, BROWN, GREEN, PURPLE, RED, SLATE
+from flexman_gym.toolbox.precision.runs import PrecisionRow
 from studies.peers.measure import ROUNDS, Decay, of_peers
 from studies.precision.charts import draw_floor, draw_runs, finish, front, new_panel
-from studies.precision.measure import PLAIN, PrecisionRow, cost_at, settled
+from studies.precision.measure import PLAIN, cost_at, settled
 from studies.screen import picture, screen
 
 MANY = " arms on "  # part of the scene name of batch rows

@@ -13,9 +13,9 @@ from xml.etree.ElementTree import SubElement
 import numpy as np
 
 from flexman_gym.toolbox.interchange.mjcf import to_mjcf
-from studies.peers.measure import Timer, row
-from studies.peers.mujoco import SANE, advance, fewest_parts
-from studies.precision.measure import PrecisionRow, Study
+from flexman_gym.toolbox.precision.peers.mujoco import SANE, advance, fewest_parts
+from flexman_gym.toolbox.precision.peers.peer_run import peer_row
+from flexman_gym.toolbox.precision.runs import PrecisionRow, PrecisionScene, Timer
 
 LENGTHS, CLAMP = (0.5, 0.25), 1e-3  # approximate piece lengths, m; clamped share of a piece at each end
 METHODS = ("Euler", "RK4")  # `implicit`, `implicitfast`: no rods; `discrete`: no rods with edge springs
@@ -66,14 +66,14 @@ def _numbers(values: Any) -> str:
     return " ".join(repr(float(value)) for value in values)
 
 
-def run(study: Study, length: float, integrator: str, parts: int) -> PrecisionRow:
+def run(scene: PrecisionScene, length: float, integrator: str, parts: int) -> PrecisionRow:
     """Run a scene of constant torques from rest at zero angles with a number of steps per output step."""
-    step = study.scene.output_step / parts
-    text = to_mjcf(study.scene.arm, 0, integrator, step, partial(rod, length))
-    return row(study, advance(study.scene, f"MuJoCo, rods of {length:g} m", integrator, step, text), sane=SANE)
+    step = scene.scene.output_step / parts
+    text = to_mjcf(scene.scene.arm, 0, integrator, step, partial(rod, length))
+    return peer_row(scene, advance(scene.scene, f"MuJoCo, rods of {length:g} m", integrator, step, text), sane=SANE)
 
 
-def runs(study: Study) -> list[Timer]:
+def runs(scene: PrecisionScene) -> list[Timer]:
     """Return timers at the longest stable step of each integrator."""
-    calls = [partial(run, study, length, integrator) for length in LENGTHS for integrator in METHODS]
+    calls = [partial(run, scene, length, integrator) for length in LENGTHS for integrator in METHODS]
     return [partial(call, fewest_parts(call)) for call in calls]

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 
 import flexman_gym as fm
-from studies.peers.measure import PeerRun, Timer, output_count, row
-from studies.precision.measure import Study
+from flexman_gym.toolbox.precision.peers.peer_run import PeerRun, output_count, peer_row
+from flexman_gym.toolbox.precision.runs import PrecisionScene, Timer
 
 os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1")
 jax: Any = importlib.import_module("jax")
@@ -90,6 +90,6 @@ def run(scene: fm.Scene, step: float = STEP) -> PeerRun:
     return PeerRun("SoRoMoX, quadratic strains", "RK4", step, np.array(tips), *costs, 4 / step)
 
 
-def runs(study: Study) -> list[Timer]:
+def runs(scene: PrecisionScene) -> list[Timer]:
     """Return the timer of the arm."""
-    return [lambda: row(study, run(study.scene))]
+    return [lambda: peer_row(scene, run(scene.scene))]

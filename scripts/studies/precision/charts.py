@@ -6,9 +6,10 @@ from pathlib import Path
 from typing import Any
 
 from flexman_gym.common.plot_style import SLATE, save_figure
+from flexman_gym.toolbox.precision.runs import OK, PrecisionRow, pareto_front
 from studies.charts import new_chart
 from studies.methods import line_styles
-from studies.precision.measure import OK, Floor, PrecisionRow, pareto_front
+from studies.precision.measure import Floor
 
 COST = "CPU seconds per simulated second"
 LARGEST_ERROR = 30.0  # m; larger than the arm: larger errors are not shown

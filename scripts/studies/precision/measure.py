@@ -1,7 +1,6 @@
 """Work-precision study: scenes, models, methods, reference solutions, and runs with error and cost."""
 
 import math
-import time as clock
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -9,53 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from flexman_gym.common.arrays import Array
 from flexman_gym.model.model import Model, build_model
 from flexman_gym.scene import catalog
 from flexman_gym.scene.scene import Initial, Scene
 from flexman_gym.scene.signals import ConstantTorque
 from flexman_gym.simulation.methods import EXPLICIT, IMPLICIT, LINEARLY_IMPLICIT, METHODS
 from flexman_gym.simulation.scene_simulation import simulate
-from flexman_gym.simulation.trajectory import Trajectory
+from flexman_gym.toolbox.precision.runs import OK, PrecisionRow, PrecisionScene, ReferenceSolution, converged
 from studies.methods import fixed_step_methods
-
-OK = "ok"
-TIGHT, LOOSE = 1e-9, 1e-7  # relative tolerances of the reference solution and of the run that estimates its error
-LEAST_SECONDS, MOST_REPEATS = 0.25, 5  # s; a run is repeated until this time is used
-
-
-@dataclass(frozen=True)
-class PrecisionRow:
-    """One run.
-
-    Attributes:
-        scene, model, method: names.
-        step: fixed step, s; None for adaptive steps.
-        rtol: relative tolerance of adaptive steps, None for a fixed step; atol is a thousandth of it.
-        cpu, wall: CPU and wall-clock time per simulated second; the best of a few repetitions.
-        evaluations: evaluations of the accelerations per simulated second.
-        time_error: largest distance of the tip from the converged solution of the same model, m; None if not computed,
-            infinite for a failed run.
-        total_error: largest distance of the tip from the reference solution of the scene, m.
-        status: "ok", "diverged" or "not converged".
-    """
-
-    scene: str
-    model: str
-    method: str
-    step: float | None
-    rtol: float | None
-    cpu: float
-    wall: float
-    evaluations: float
-    time_error: float | None
-    total_error: float | None
-    status: str
-
-    @property
-    def setting(self) -> str:
-        """Step or tolerance as text."""
-        return f"{1e3 * self.step:.3g} ms" if self.step is not None else f"rtol {self.rtol:.0e}"
 
 
 @dataclass(frozen=True)
@@ -76,115 +36,10 @@ class Floor:
     source: str
 
 
-@dataclass(frozen=True, eq=False)
-class ReferenceSolution:
-    """Reference motion of the tip in a scene.
-
-    Attributes:
-        tip: tip positions (T, 3) at equal intervals from start to end of the scene, m.
-        floor: estimated error, m.
-        source: origin.
-    """
-
-    tip: Array
-    floor: float
-    source: str
-
-    def distance(self, result: Trajectory) -> float:
-        """Return the largest distance of the tip at the output times, m; infinite for a failed run."""
-        if result.status != OK:
-            return math.inf
-        stride, rest = divmod(len(self.tip) - 1, len(result.tip) - 1)
-        if rest:
-            raise ValueError(
-                f"reference: {len(self.tip)} times are not allowed; give 1 + a multiple of {len(result.tip) - 1}"
-            )
-        return float(np.linalg.norm(result.tip - self.tip[::stride], axis=1).max())
-
-
-def _converged(scene: Scene, model: Model) -> ReferenceSolution:
-    """Return the converged solution of a model by the reference method, with an error estimate from a looser tolerance.
-
-    Raises:
-        RuntimeError: if one of the runs fails.
-    """
-    tight, loose = (simulate(scene, model, "dop853", rtol=rtol, atol=1e-3 * rtol) for rtol in (TIGHT, LOOSE))
-    if {tight.status, loose.status} != {OK}:
-        raise RuntimeError(f"the reference method fails: {tight.status}, {loose.status}")
-    floor = float(np.linalg.norm(tight.tip - loose.tip, axis=1).max())
-    return ReferenceSolution(tight.tip, max(floor, float(np.finfo(float).eps)), f"dop853, rtol {TIGHT:.0e}")
-
-
-@dataclass(frozen=True, eq=False)
-class Study:
-    """Scene with its models and reference solutions.
-
-    Attributes:
-        name: name of the scene.
-        scene: arm and motion.
-        models: models by name.
-        reference: reference motion of the tip.
-        solutions: converged solutions by model name.
-        title: description of the scene.
-    """
-
-    name: str
-    scene: Scene
-    models: dict[str, Model]
-    reference: ReferenceSolution
-    solutions: dict[str, ReferenceSolution]
-    title: str = ""
-
-    def floors(self) -> list[Floor]:
-        """Return the errors of the reference solutions, that of the scene first."""
-        return [Floor(self.name, self.title, model, each.floor, each.source) for model, each in self._references()]
-
-    def _references(self) -> list[tuple[str, ReferenceSolution]]:
-        return [("", self.reference), *self.solutions.items()]
-
-    def row(self, model: str, method: str, step: float | None = None, rtol: float | None = None) -> PrecisionRow:
-        """Run and time a model and method; return the row."""
-        tight = rtol or LOOSE
-        arguments = (self.models[model], method, step, tight, 1e-3 * tight)
-        short = replace(self.scene, duration=max(self.scene.output_step, step or 0.0))
-        simulate(short, *arguments)  # load or compile the kernels
-        cpu, wall, spent, result = math.inf, math.inf, 0.0, None
-        for _ in range(MOST_REPEATS):
-            started = clock.process_time()
-            result = simulate(self.scene, *arguments)
-            seconds = clock.process_time() - started
-            cpu, wall, spent = min(cpu, seconds), min(wall, result.wall_seconds), spent + seconds
-            if spent > LEAST_SECONDS:
-                break
-        assert result is not None
-        reached = float(result.time[-1]) if result.status == OK else max(float(result.time[-1]), self.scene.output_step)
-        solution = self.solutions.get(model)
-        errors = None if solution is None else solution.distance(result), self.reference.distance(result)
-        costs = cpu / reached, wall / reached, result.evaluations / reached
-        return PrecisionRow(self.name, model, method, step, rtol, *costs, *errors, result.status)
-
-    def ladder(
-        self, model: str, method: str, settings: Sequence[float], patience: float, adaptive: bool = False
-    ) -> Iterator[PrecisionRow]:
-        """Yield rows with decreasing steps (s) or tolerances until a run takes longer than `patience` seconds."""
-        for setting in sorted(settings, reverse=True):
-            row = self.row(model, method, **{"rtol" if adaptive else "step": setting})
-            yield row
-            if row.status == OK and row.cpu * self.scene.duration > patience:
-                return
-
-
-def pareto_front(points: Sequence[tuple[float, float]]) -> list[int]:
-    """Return the indices of the (cost, error) points on the Pareto front, by increasing cost.
-
-    Points that are not finite are ignored; the first of equal points is kept.
-    """
-    order = sorted((i for i, point in enumerate(points) if all(map(math.isfinite, point))), key=lambda i: points[i])
-    front: list[int] = []
-    for i in order:
-        if not front or points[i][1] < points[front[-1]][1]:
-            front.append(i)
-    return front
+def reference_floors(scene: PrecisionScene) -> list[Floor]:
+    """Return the errors of the reference solutions, that of the scene first."""
+    references = [("", scene.reference), *scene.solutions.items()]
+    return [Floor(scene.name, scene.title, model, each.floor, each.source) for model, each in references]
 
 
 def cheapest(rows: Sequence[PrecisionRow], model: str, method: str, error: float) -> PrecisionRow | None:
@@ -346,11 +201,11 @@ def _total_reference(case: _PrecisionCase, built: dict[str, Model], reference: P
     )
 
 
-def study(case: _PrecisionCase, reference: Path) -> Study:
+def study(case: _PrecisionCase, reference: Path) -> PrecisionScene:
     """Return a scene with all models and reference solutions, which takes about a minute."""
     built = models(case.scene)
-    solutions = {name: _converged(case.scene, built[name]) for name in case.timed}
-    return Study(case.name, case.scene, built, _total_reference(case, built, reference), solutions, case.title)
+    solutions = {name: converged(case.scene, built[name]) for name in case.timed}
+    return PrecisionScene(case.name, case.scene, built, _total_reference(case, built, reference), solutions, case.title)
 
 
 def _steps_of(name: str) -> tuple[float, ...]:
@@ -364,7 +219,7 @@ def _tolerances_of(name: str) -> tuple[float, ...]:
     return TOLERANCES[method.kind] if method.estimates else ()
 
 
-def grid(result: Study, timed: tuple[str, ...], models: Sequence[str] | None = None) -> Iterator[PrecisionRow]:
+def grid(result: PrecisionScene, timed: tuple[str, ...], models: Sequence[str] | None = None) -> Iterator[PrecisionRow]:
     """Yield rows: all methods and steps for the models with studied time error, a few for the other models."""
     names = fixed_step_methods()
     every = {name: _steps_of(name) for name in names}
@@ -384,16 +239,16 @@ def _fits(scene: Scene, step: float) -> bool:
     return abs(count - round(count)) < 1e-9 * count
 
 
-def quick_study() -> Study:
+def quick_study() -> PrecisionScene:
     """Return a small study for tests: 0.2 s of the arm with rigid links and of a model with one mode per link."""
     scene = replace(catalog.paper_scene("ff"), duration=0.2)
     built = {name: build_model(scene.arm, **choices(scene)[name]) for name in (RIGID_LINKS, "1 mode a link")}
-    solutions = {name: _converged(scene, model) for name, model in built.items()}
+    solutions = {name: converged(scene, model) for name, model in built.items()}
     fine = build_model(scene.arm, modes=4)
-    return Study("paper_ff, 0.2 s", scene, built, _converged(scene, fine), solutions, "the first moments")
+    return PrecisionScene("paper_ff, 0.2 s", scene, built, converged(scene, fine), solutions, "the first moments")
 
 
-def quick_grid(result: Study) -> Iterator[PrecisionRow]:
+def quick_grid(result: PrecisionScene) -> Iterator[PrecisionRow]:
     """Yield rows of a few methods and steps of each kind."""
     for model in result.models:
         for method, step in (("semi_implicit_euler", 1), ("rk4", 2), ("ros2", 5), ("extrapolated_euler_4", 10)):

@@ -10,18 +10,18 @@ from typing import Any
 from flexman_gym.common.markdown import markdown_table
 from flexman_gym.common.parallel import Workers, parallel_map
 from flexman_gym.envs.vector_env import compile_kernels
+from flexman_gym.toolbox.precision.runs import PrecisionRow, PrecisionScene
 from studies.methods import extrapolations_of, fixed_step_methods, methods_of
 from studies.precision.charts import PICTURE
 from studies.precision.measure import (
     Floor,
-    PrecisionRow,
-    Study,
     cases,
     cheapest,
     choices,
     grid,
     quick_grid,
     quick_study,
+    reference_floors,
     setbacks,
     study,
 )
@@ -124,11 +124,11 @@ def _computed(cell: tuple[str, str, str]) -> dict[str, Any]:
     reference, scene, model = cell
     result, timed = _known_study(reference, scene)
     rows = grid(result, timed, [model]) if scene else quick_grid(result)
-    return {"rows": [asdict(row) for row in rows], "floors": [asdict(floor) for floor in result.floors()]}
+    return {"rows": [asdict(row) for row in rows], "floors": [asdict(floor) for floor in reference_floors(result)]}
 
 
 @cache
-def _known_study(reference: str, scene: str) -> tuple[Study, tuple[str, ...]]:
+def _known_study(reference: str, scene: str) -> tuple[PrecisionScene, tuple[str, ...]]:
     """Return a study and the models with studied time error, cached per process."""
     if not scene:
         return quick_study(), ()

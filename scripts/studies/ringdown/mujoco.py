@@ -9,7 +9,7 @@ import numpy as np
 
 from flexman_gym.common.arrays import Array
 from flexman_gym.toolbox.interchange.mjcf import to_mjcf
-from studies.peers.mujoco import integrators
+from flexman_gym.toolbox.precision.peers.mujoco import integrators
 from studies.ringdown.measure import (
     DURATION,
     LARGEST_DEFLECTION,

@@ -6,6 +6,7 @@ from typing import Any
 
 import flexman_gym as fm
 from flexman_gym.common.computer import computer_text
+from flexman_gym.toolbox.precision.runs import PrecisionRow
 from studies.peers.measure import (
     PEERS,
     Decay,
@@ -19,7 +20,6 @@ from studies.peers.measure import (
     theirs,
 )
 from studies.peers.page import draw, page
-from studies.precision.measure import PrecisionRow
 from studies.study import Study, Table
 from studies.verification.motions import REFERENCE
 

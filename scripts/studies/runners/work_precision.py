@@ -1,8 +1,9 @@
 """Work-precision diagrams of all methods and models."""
 
 from flexman_gym.common.parallel import Workers
+from flexman_gym.toolbox.precision.runs import PrecisionRow
 from studies.precision.charts import draw
-from studies.precision.measure import Floor, PrecisionRow
+from studies.precision.measure import Floor
 from studies.precision.page import compute, page
 from studies.study import KEPT, QUICK, Study, Table
 from studies.verification.motions import REFERENCE

@@ -25,12 +25,16 @@ from typing import Any
 import numpy as np
 from scipy.sparse import csr_matrix
 
-import flexman_gym as fm
 from flexman_gym.common.arrays import Array, Vector
+from flexman_gym.common.errors import value_error
 from flexman_gym.model.beam import Beam, build_beam
 from flexman_gym.model.element import section_points
-from studies.peers.measure import PeerRun, Timer, output_count, row
-from studies.precision.measure import PrecisionRow, ReferenceSolution, Study
+from flexman_gym.scene.arm import Arm
+from flexman_gym.scene.joint import Joint
+from flexman_gym.scene.scene import Scene
+from flexman_gym.scene.signals import ConstantTorque
+from flexman_gym.toolbox.precision.peers.peer_run import PeerRun, check_modelled, output_count, peer_row
+from flexman_gym.toolbox.precision.runs import PrecisionRow, PrecisionScene, ReferenceSolution, Timer
 
 sys.exudynFast = True  # type: ignore[attr-defined]  # selects the build without range checks; must precede the first import
 with redirect_stdout(io.StringIO()):
@@ -49,11 +53,9 @@ LOOSE = 1e-3  # relative Newton tolerance whose effect on the tip is below that 
 class System:
     """`MainSystem` of an arm at rest at zero angles, with motor torques (n,) N m and a sensor of its tip."""
 
-    def __init__(self, arm: fm.Arm, torque: Vector, elements: int = ELEMENTS) -> None:
+    def __init__(self, arm: Arm, torque: Vector, elements: int = ELEMENTS) -> None:
         if arm.payload is not None or any(joint.stiffness is None for joint in arm.joints):
-            raise ValueError(
-                "arm: a payload and rigid joints are not allowed; give springs in all joints and no payload"
-            )
+            raise value_error("arm", "a payload or rigid joints", "springs in all joints and no payload for Exudyn")
         self.container = exudyn.SystemContainer()
         self.main = self.container.AddSystem()
         carrier = self.main.AddObject(items.ObjectGround())
@@ -101,7 +103,7 @@ class System:
         self.main.AddObject(items.ObjectJointGeneric(markerNumbers=[tip, marker]))
         return int(body)
 
-    def _joint(self, joint: fm.Joint, before: int, behind: int, torque: float) -> None:
+    def _joint(self, joint: Joint, before: int, behind: int, torque: float) -> None:
         """Add a revolute joint between two rigid bodies, driven by a motor through a spring and a damper."""
         axis = exudyn.HT(rotation=_along(np.array(joint.axis)), translation=[0.0] * 3)
         ends = [self.main.AddMarker(items.MarkerBodyRigid(bodyNumber=body, localHT=axis)) for body in (before, behind)]
@@ -138,7 +140,7 @@ def _along(axis: Array) -> Array:
     return np.column_stack([across, np.cross(axis, across), axis])
 
 
-def settings(scene: fm.Scene, step: float, method: str, tolerance: float = LOOSE) -> Any:
+def settings(scene: Scene, step: float, method: str, tolerance: float = LOOSE) -> Any:
     """Return `SimulationSettings` of a fixed-step run (step in s) without file output.
 
     The default settings of Exudyn are the generalised-alpha method with a spectral radius of 0.9, modified Newton
@@ -158,9 +160,12 @@ def settings(scene: fm.Scene, step: float, method: str, tolerance: float = LOOSE
     return result
 
 
-def run(scene: fm.Scene, step: float, method: str = QUICK, tolerance: float = LOOSE) -> PeerRun:
+def run(scene: Scene, step: float, method: str = QUICK, tolerance: float = LOOSE) -> PeerRun:
     """Run a scene of constant torques from rest at zero angles; the step (s) must divide the output step."""
-    system = System(scene.arm, scene.torque.value)  # type: ignore[union-attr]
+    check_modelled(scene)
+    if not isinstance(scene.torque, ConstantTorque) or any((*scene.initial.joint_angles, *scene.initial.joint_rates)):
+        raise value_error("scene", scene.note or "a motion", "constant torques from rest at zero angles for Exudyn")
+    system = System(scene.arm, scene.torque.value)
     chosen = settings(scene, step, method, tolerance)
     tip = np.full((output_count(scene, step)[0] + 1, 3), np.nan)
     exudyn.config.printToConsole = False
@@ -175,17 +180,17 @@ def run(scene: fm.Scene, step: float, method: str = QUICK, tolerance: float = LO
     return PeerRun(MODEL, method, step, tip, costs[0], costs[1], iterations)
 
 
-def converged(scene: fm.Scene) -> ReferenceSolution:
+def converged(scene: Scene) -> ReferenceSolution:
     """Return Exudyn's solution at a short step; its error estimate is the difference to a step 2.5 times as long."""
     fine, coarse = (run(scene, step, QUICK, STRICT) for step in (FINE, 2.5 * FINE))
     return ReferenceSolution(fine.tip, fine.distance(coarse.tip), f"{MODEL}, {1e3 * FINE:g} ms")
 
 
-def runs(study: Study) -> list[Timer]:
+def runs(scene: PrecisionScene) -> list[Timer]:
     """Return timers of runs with the fastest and the default settings; time errors refer to Exudyn's converged run."""
-    solution = converged(study.scene)
+    solution = converged(scene.scene)
 
     def timed(method: str, step: float) -> PrecisionRow:
-        return row(study, run(study.scene, step, method), solution)
+        return peer_row(scene, run(scene.scene, step, method), solution)
 
     return [lambda a=(method, step): timed(*a) for method, steps in STEPS.items() for step in steps]  # type: ignore[misc]

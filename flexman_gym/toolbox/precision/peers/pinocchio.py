@@ -6,19 +6,21 @@ from typing import Any
 
 import numpy as np
 
-import flexman_gym as fm
 from flexman_gym.common.arrays import Array
-from studies.peers.measure import PeerRun, Timer, output_count, row
-from studies.precision.measure import Study
+from flexman_gym.common.errors import value_error
+from flexman_gym.scene.arm import Arm
+from flexman_gym.scene.scene import Scene
+from flexman_gym.toolbox.precision.peers.peer_run import PeerRun, check_modelled, output_count, peer_row
+from flexman_gym.toolbox.precision.runs import PrecisionScene, Timer
 
 pin: Any = importlib.import_module("pinocchio")  # no type stubs
 STEP = 1e-3
 
 
-def rigid_model(arm: fm.Arm) -> Any:
+def rigid_model(arm: Arm) -> Any:
     """Return the `pinocchio.Model` of an arm of uniform links with rotors, rigid joints and no payload."""
     if arm.payload is not None:
-        raise ValueError("arm.payload: a payload is not allowed; give None")
+        raise value_error("arm.payload", arm.payload, "None for Pinocchio")
     model, place, parent = pin.Model(), pin.SE3.Identity(), 0
     for (link,), joint in zip((each.sections for each in arm.links), arm.joints, strict=True):  # uniform links
         parent = model.addJoint(parent, pin.JointModelRevoluteUnaligned(*joint.axis), place, f"joint {parent + 1}")
@@ -32,18 +34,20 @@ def rigid_model(arm: fm.Arm) -> Any:
     return model
 
 
-def run(scene: fm.Scene, step: float) -> PeerRun:
-    """Run a scene of constant torques from rest at zero angles; the step (s) must divide the output step."""
+def run(scene: Scene, step: float) -> PeerRun:
+    """Run a scene with rigid links and joints; the step (s) must divide the output step."""
+    check_modelled(scene)
     model = rigid_model(scene.arm)
-    data, torque = model.createData(), np.array(scene.torque.value)  # type: ignore[union-attr]
-    angles = rates = np.zeros(model.nv)
+    data = model.createData()
+    angles, rates = np.array(scene.initial.joint_angles), np.array(scene.initial.joint_rates)
     rows, substeps = output_count(scene, step)
     tip = np.zeros((rows + 1, 3))
     started = time.process_time(), time.perf_counter()
     for i in range(rows + 1):
         pin.framesForwardKinematics(model, data, angles)
         tip[i] = data.oMf[-1].translation
-        for _ in range(substeps if i < rows else 0):
+        for k in range(substeps if i < rows else 0):
+            torque = scene.torque.at(i * scene.output_step + (k + 0.5) * step)
             angles, rates = _runge_kutta(model, data, (angles, rates), torque, step)
     costs = (time.process_time() - started[0]) / scene.duration, (time.perf_counter() - started[1]) / scene.duration
     return PeerRun("Pinocchio, rigid", "RK4", step, tip, *costs, 4 / step)
@@ -62,6 +66,6 @@ def _runge_kutta(model: Any, data: Any, state: tuple[Array, Array], torque: Arra
     return q + step / 6 * (v + 2 * v2 + 2 * v3 + v4), v + step / 6 * (a + 2 * b + 2 * c + d)
 
 
-def runs(study: Study) -> list[Timer]:
+def runs(scene: PrecisionScene) -> list[Timer]:
     """Return the timer of the rigid arm."""
-    return [lambda: row(study, run(study.scene, STEP))]
+    return [lambda: peer_row(scene, run(scene.scene, STEP))]

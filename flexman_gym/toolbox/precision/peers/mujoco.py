@@ -10,11 +10,19 @@ import mujoco  # type: ignore[import-not-found, import-untyped, unused-ignore]
 import numpy as np
 from mujoco import batch
 
-import flexman_gym as fm
 from flexman_gym.common.arrays import Array
+from flexman_gym.scene.arm import Arm
+from flexman_gym.scene.scene import Scene
+from flexman_gym.scene.signals import ConstantTorque
 from flexman_gym.toolbox.interchange.mjcf import to_mjcf
-from studies.peers.measure import PeerRun, Timer, output_count, row, with_rigid_joints
-from studies.precision.measure import OK, PrecisionRow, Study
+from flexman_gym.toolbox.precision.peers.peer_run import (
+    PeerRun,
+    check_modelled,
+    output_count,
+    peer_row,
+    with_rigid_joints,
+)
+from flexman_gym.toolbox.precision.runs import OK, PrecisionRow, PrecisionScene, Timer
 
 SANE = 0.5  # m; largest tip error of a run that counts as stable
 RIGID_STEP, RIGID_LINKS_STEP = 1e-3, 5e-3  # s; RK4 steps with time errors far below the error of a rigid arm
@@ -28,16 +36,27 @@ def integrators() -> list[str]:
     return [name for name in INTEGRATORS if name.lower() in known]
 
 
-def run(scene: fm.Scene, pieces: int, integrator: str, step: float) -> PeerRun:
-    """Run a scene of constant torques from rest at zero angles; the step (s) must divide the output step."""
+def run(scene: Scene, pieces: int, integrator: str, step: float) -> PeerRun:
+    """Run a scene; the step (s) must divide the output step.
+
+    Args:
+        scene: arm, torques, initial joint angles and rates, duration.
+        pieces: number of rigid pieces of a link; 0 for rigid links.
+        integrator: integrator of MuJoCo.
+        step: s.
+    """
     return advance(scene, _name(scene.arm, pieces), integrator, step, to_mjcf(scene.arm, pieces, integrator, step))
 
 
-def advance(scene: fm.Scene, name: str, integrator: str, step: float, text: str) -> PeerRun:
+def advance(scene: Scene, name: str, integrator: str, step: float, text: str) -> PeerRun:
     """Run a scene with the arm given as MJCF text."""
+    check_modelled(scene)
     model = mujoco.MjModel.from_xml_string(text)
     data = mujoco.MjData(model)
-    data.ctrl[:] = np.array(scene.torque.value)  # type: ignore[union-attr]
+    for i, (angle, rate) in enumerate(zip(scene.initial.joint_angles, scene.initial.joint_rates, strict=True)):
+        motor = model.joint(f"motor {i}")
+        data.qpos[motor.qposadr], data.qvel[motor.dofadr] = angle, rate
+    constant = isinstance(scene.torque, ConstantTorque)
     rows, substeps = output_count(scene, step)
     mujoco.set_mju_user_warning(lambda message: None)  # else it writes a file about every divergence
     mujoco.mj_forward(model, data)
@@ -45,7 +64,9 @@ def advance(scene: fm.Scene, name: str, integrator: str, step: float, text: str)
     tip[0] = data.site("tip").xpos
     started = time.process_time(), time.perf_counter()
     for i in range(1, rows + 1):
-        mujoco.mj_step(model, data, substeps)
+        for k in range(1 if constant else substeps):
+            data.ctrl[:] = scene.torque.at((i - 1) * scene.output_step + (k + 0.5) * step)
+            mujoco.mj_step(model, data, substeps if constant else 1)
         mujoco.mj_kinematics(model, data)  # positions after a step are those of its start
         tip[i] = data.site_xpos[0]
         if data.warning[mujoco.mjtWarning.mjWARN_BADQACC].number or not np.isfinite(data.qpos).all():
@@ -57,7 +78,7 @@ def advance(scene: fm.Scene, name: str, integrator: str, step: float, text: str)
     return PeerRun(name, integrator, step, tip, *costs, evaluations)
 
 
-def step_factors(arm: fm.Arm, pieces: int, integrator: str, step: float, small: float = 1e-5) -> Any:
+def step_factors(arm: Arm, pieces: int, integrator: str, step: float, small: float = 1e-5) -> Any:
     """Return the complex amplification factors of a step (s) about rest, from central differences."""
     model = mujoco.MjModel.from_xml_string(to_mjcf(arm, pieces, integrator, step))
     data, after = mujoco.MjData(model), []
@@ -70,7 +91,7 @@ def step_factors(arm: fm.Arm, pieces: int, integrator: str, step: float, small: 
     return np.linalg.eigvals((ahead - back) / (2.0 * small))
 
 
-def batched_arms(scene: fm.Scene, pieces: int, step: float, arms: int, threads: int) -> Iterator[Array]:
+def batched_arms(scene: Scene, pieces: int, step: float, arms: int, threads: int) -> Iterator[Array]:
     """Simulate arms from rest with `mujoco.batch`; yield the tip (3,) m of the first arm at the output times."""
     model = mujoco.MjModel.from_xml_string(to_mjcf(scene.arm, pieces, "Euler", step))
     many, count = batch.Batch(model, arms, threads), output_count(scene, step)[1]
@@ -80,28 +101,28 @@ def batched_arms(scene: fm.Scene, pieces: int, step: float, arms: int, threads: 
         yield tips[0, 0].copy()
 
 
-def _name(arm: fm.Arm, pieces: int) -> str:
+def _name(arm: Arm, pieces: int) -> str:
     if pieces:
         return f"MuJoCo, {pieces} pieces"
     return "MuJoCo, rigid" if arm.joints[0].stiffness is None else "MuJoCo, rigid links"
 
 
-def runs(study: Study) -> list[Timer]:
+def runs(scene: PrecisionScene) -> list[Timer]:
     """Return timers of the rigid arm, the arm of rigid links, and the arms of 4 and 8 pieces per link."""
-    rigid = with_rigid_joints(study.scene)
+    rigid = with_rigid_joints(scene.scene)
     return [
-        lambda: row(study, run(rigid, 0, "RK4", RIGID_STEP)),
-        lambda: row(study, run(study.scene, 0, "RK4", RIGID_LINKS_STEP)),
-        *stable_runs(study),
+        lambda: peer_row(scene, run(rigid, 0, "RK4", RIGID_STEP)),
+        lambda: peer_row(scene, run(scene.scene, 0, "RK4", RIGID_LINKS_STEP)),
+        *stable_runs(scene),
     ]
 
 
-def stable_runs(study: Study) -> list[Timer]:
+def stable_runs(scene: PrecisionScene) -> list[Timer]:
     """Return timers of the arms of 4 and 8 pieces per link at the longest stable step of each integrator."""
     result: list[Timer] = []
     for pieces in (4, 8):
         for name in integrators():
-            timed = partial(_timed, study, pieces, name)
+            timed = partial(_timed, scene, pieces, name)
             parts = fewest_parts(timed) if name != "discrete" else 0
             chosen = {"discrete": DISCRETE, "Euler": (parts, 2 * parts)}.get(name, (parts,))
             result += [partial(timed, each) for each in chosen]
@@ -116,10 +137,10 @@ def fewest_parts(timed: Callable[[int], PrecisionRow]) -> int:
     return parts
 
 
-def longest_step(study: Study, pieces: int, integrator: str) -> float:
+def longest_step(scene: PrecisionScene, pieces: int, integrator: str) -> float:
     """Return the longest stable step (s)."""
-    return study.scene.output_step / fewest_parts(partial(_timed, study, pieces, integrator))
+    return scene.scene.output_step / fewest_parts(partial(_timed, scene, pieces, integrator))
 
 
-def _timed(study: Study, pieces: int, integrator: str, parts: int) -> PrecisionRow:
-    return row(study, run(study.scene, pieces, integrator, study.scene.output_step / parts), sane=SANE)
+def _timed(scene: PrecisionScene, pieces: int, integrator: str, parts: int) -> PrecisionRow:
+    return peer_row(scene, run(scene.scene, pieces, integrator, scene.scene.output_step / parts), sane=SANE)

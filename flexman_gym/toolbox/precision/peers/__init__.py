@@ -1,0 +1,1 @@
+"""Other simulators: models of an arm in MuJoCo, Exudyn and Pinocchio."""
