@@ -1,14 +1,21 @@
-"""Compare methods on a scene: error of the tip and computing time."""
+"""Chart the error of the tip against computing time, for models and methods of a scene.
+
+The error is the largest distance of the tip from its motion with four elements a link and foreshortening. The chart
+has the default of the environments in a ring, and MuJoCo, Exudyn and Pinocchio where they are installed.
+"""
 
 import argparse
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING
 
-import numpy as np
+from flexman_gym.commands import CommandLine, add_options, output_file
 
-from flexman_gym.commands import CommandLine, add_options
+if TYPE_CHECKING:
+    from flexman_gym.toolbox.precision.runs import PrecisionRow
 
-DEFAULT_METHODS = ("rk4", "dopri5", "ros2", "midpoint_2", "midpoint_3", "extrapolated_euler_5")
-HALVINGS = 5  # number of times that the step is halved
-REFERENCE_METHOD, REFERENCE_RTOL = "dop853", 1e-9  # method of the reference; its relative local error, 1
+PICTURE = Path("out/precision.png")
+HEAD = f"{'model':<34}{'method':<22}{'step, ms':>10}{'error, mm':>12}{'CPU ms per s':>14}"
 
 
 def _arguments(parser: argparse.ArgumentParser) -> None:
@@ -18,34 +25,57 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
         "--method", nargs="+", metavar="METHOD", help="methods, see flexman list methods (default: a selection)"
     )
     parser.add_argument(
-        "--step",
-        type=float,
-        default=0.02,
-        metavar="S",
-        help=f"longest step, s; it is halved {HALVINGS} times (default: %(default)s)",
+        "--step", type=float, metavar="S", help="longest step, s; it is halved 6 times (default: two output steps)"
     )
+    parser.add_argument("--all", action="store_true", help="print all runs, not only those that none beats")
+    parser.add_argument("--own", action="store_true", help="leave other simulators out")
+    parser.add_argument("--out", type=output_file, metavar="FILE", default=PICTURE, help="chart (default: %(default)s)")
 
 
 def _run(options: argparse.Namespace) -> int:
-    """Print a line for each method and step, with errors against the reference method; return 0."""
+    """Run the scene, print a table and draw the chart; return 0."""
     from flexman_gym.scene.scene import Scene
-    from flexman_gym.simulation.methods import METHODS as KNOWN
-    from flexman_gym.simulation.scene_simulation import simulate
+    from flexman_gym.toolbox.precision.charts import conclusion, draw_scenes, front_of
+    from flexman_gym.toolbox.precision.scene_runs import our_rows, peer_timers, precision_scene
 
-    names = options.method or [name for name in DEFAULT_METHODS if name in KNOWN]
     scene = Scene.load(options.scene)
-    reference = simulate(scene, method=REFERENCE_METHOD, rtol=REFERENCE_RTOL)
-    print(f"{REFERENCE_METHOD}, rtol {REFERENCE_RTOL:g}: {reference.status}, {reference.wall_seconds:.3g} s")
-    print(f"{'method':<22}{'step, ms':>10}{'status':>16}{'error, m':>12}{'evaluations':>13}{'time, s':>10}")
-    for name in names:
-        for step in options.step / 2.0 ** np.arange(HALVINGS + 1):
-            result = simulate(scene, method=name, step=float(step))
-            rows = min(len(result.tip), len(reference.tip))
-            error = np.linalg.norm(result.tip[:rows] - reference.tip[:rows], axis=1).max()
-            shown_error = f"{error:.3g}" if result.status == "ok" else "-"
-            line = f"{name:<22}{1e3 * step:>10.4g}{result.status:>16}{shown_error:>12}{result.evaluations:>13}"
-            print(f"{line}{result.wall_seconds:>10.3g}", flush=True)
+    result = precision_scene(scene, options.scene.stem)
+    floor = result.reference.floor
+    print(f"reference: {result.reference.source}; its error is about {1e3 * floor:.2g} mm")
+    rows = list(our_rows(result, _methods(options.method), options.step))
+    timers, left_out = ([], []) if options.own else peer_timers(result)
+    rows += [timer() for timer in timers]
+    best = front_of(rows, floor)
+    print(HEAD)
+    for row in rows if options.all else [*best, *rows[:1], *rows[len(rows) - len(timers) :]]:
+        print(_line(row, "default" if row is rows[0] else ""), flush=True)
+    print("\n".join([*left_out, conclusion(rows)]))
+    try:
+        print(f"{draw_scenes([(rows, floor, conclusion(rows))], options.out)} shows all runs")
+    except ImportError as error:
+        print(error)
     return 0
+
+
+def _methods(given: list[str] | None) -> list[str]:
+    """Return the names of methods of fixed steps.
+
+    Raises:
+        ValueError: for a name that is not a method, or a method that chooses its steps.
+    """
+    from flexman_gym.common.checks import one_of
+    from flexman_gym.simulation.methods import METHODS
+
+    known = [name for name, method in METHODS.items() if not method.adaptive]
+    return [one_of("--method", name, known) for name in given or ()]
+
+
+def _line(row: "PrecisionRow", note: str) -> str:
+    """Return a line of the table."""
+    error = row.total_error
+    shown = f"{1e3 * error:.3g}" if row.status == "ok" and error is not None and math.isfinite(error) else row.status
+    step = f"{1e3 * row.step:.3g}" if row.step is not None else ""
+    return f"{row.model:<34}{row.method:<22}{step:>10}{shown:>12}{1e3 * row.cpu:>14.3g}  {note}".rstrip()
 
 
 COMMAND = CommandLine(_arguments, _run)

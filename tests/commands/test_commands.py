@@ -144,15 +144,21 @@ def test_choose_says_model_method_error_and_what_was_left_out(capsys):
 
 
 @pytest.mark.slow
-def test_precision_halves_the_step_and_measures_against_the_reference(capsys):
-    """Of a method of fourth order the error falls by sixteen from step to step; what diverges has none."""
-    assert main(["precision", str(REFERENCE / "paper_rr.json"), "--method", "rk4", "--step", "0.04"]) == 0
-    lines = [line.split() for line in capsys.readouterr().out.splitlines()[2:]]
-    steps, errors = (np.array([float(line[column]) for line in lines]) for column in (1, 3))
-    assert steps.tolist() == pytest.approx([40.0, 20.0, 10.0, 5.0, 2.5, 1.25])
-    assert (errors[2:4] / errors[3:5] > 12.0).all(), "order four, and more while steps are long"
-    assert main(["precision", str(REFERENCE / "paper_fr.json"), "--method", "rk4", "--step", "0.02"]) == 0
-    assert "diverged           -" in capsys.readouterr().out
+def test_precision_charts_a_scene_with_the_default(tmp_path, monkeypatch, capsys):
+    """Errors fall until the model decides; the default of the environments is a row, with a ring in the chart."""
+    monkeypatch.chdir(tmp_path)
+    scene = str(REFERENCE / "paper_ff.json")
+    assert main(["precision", scene, "--method", "gauss_3", "--step", "0.02", "--own", "--all"]) == 0
+    first, head, *lines, last, picture = capsys.readouterr().out.splitlines()
+    assert first.startswith("reference: 4 elements a link, foreshortening, gauss_3; its error is about 0.")
+    assert head.split()[:2] == ["model", "method"]
+    assert [line.split()[-1] for line in lines].count("default") == 1 and "midpoint_corrected_3" in lines[0]
+    mesh = [line.split() for line in lines if line.startswith("2 elements a link, foreshortening gauss_3")]
+    errors = [float(words[-2]) for words in mesh]
+    assert [float(words[-3]) for words in mesh] == [20.0, 10.0, 5.0, 2.5, 1.25, 0.625, 0.312]
+    assert errors[0] > 1.5 * errors[-1] > 0.0
+    assert last.startswith("The default: ") and picture == "out/precision.png shows all runs"
+    assert (tmp_path / "out" / "precision.png").stat().st_size > 10_000
 
 
 def test_an_arm_is_exported(tmp_path, capsys):

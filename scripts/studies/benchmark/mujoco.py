@@ -9,7 +9,7 @@ from mujoco import rollout
 from flexman_gym.common.arrays import Array
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.toolbox.interchange.mjcf import to_mjcf
-from flexman_gym.toolbox.precision.peers.mujoco import SANE
+from flexman_gym.toolbox.precision.peers.mujoco import sane_error
 from studies.stopwatch import Timer, timer
 
 PIECES, FINEST, SEARCH_PERIODS = (
@@ -69,7 +69,7 @@ def longest_step(setup: Configuration) -> int:
     reference, diverges, stable = tips(FINEST), 1, FINEST
     while stable - diverges > 1:
         between = (diverges + stable) // 2
-        if np.abs(tips(between) - reference).max() < SANE:
+        if np.abs(tips(between) - reference).max() < sane_error(setup.arm):
             stable = between
         else:
             diverges = between

@@ -13,7 +13,7 @@ from xml.etree.ElementTree import SubElement
 import numpy as np
 
 from flexman_gym.toolbox.interchange.mjcf import to_mjcf
-from flexman_gym.toolbox.precision.peers.mujoco import SANE, advance, fewest_parts
+from flexman_gym.toolbox.precision.peers.mujoco import advance, fewest_parts, sane_error
 from flexman_gym.toolbox.precision.peers.peer_run import peer_row
 from flexman_gym.toolbox.precision.runs import PrecisionRow, PrecisionScene, Timer
 
@@ -70,7 +70,8 @@ def run(scene: PrecisionScene, length: float, integrator: str, parts: int) -> Pr
     """Run a scene of constant torques from rest at zero angles with a number of steps per output step."""
     step = scene.scene.output_step / parts
     text = to_mjcf(scene.scene.arm, 0, integrator, step, partial(rod, length))
-    return peer_row(scene, advance(scene.scene, f"MuJoCo, rods of {length:g} m", integrator, step, text), sane=SANE)
+    done = advance(scene.scene, f"MuJoCo, rods of {length:g} m", integrator, step, text)
+    return peer_row(scene, done, sane=sane_error(scene.scene.arm))
 
 
 def runs(scene: PrecisionScene) -> list[Timer]:

@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import Any
 
@@ -24,9 +24,10 @@ from flexman_gym.toolbox.precision.peers.peer_run import (
 )
 from flexman_gym.toolbox.precision.runs import OK, PrecisionRow, PrecisionScene, Timer
 
-SANE = 0.5  # m; largest tip error of a run that counts as stable
-RIGID_STEP, RIGID_LINKS_STEP = 1e-3, 5e-3  # s; RK4 steps with time errors far below the error of a rigid arm
-DISCRETE = (2, 10, 20, 50, 100)  # steps of `discrete` per 10 ms; stable at all of them
+SANE = 0.06  # largest error of the tip of a run that counts as stable / length of the stretched arm
+RIGID_STEPS, RIGID_LINKS_STEPS = 10, 2  # RK4 steps of an output step; their error is far below that of a rigid arm
+DISCRETE = (2, 10, 20, 50, 100)  # steps of `discrete` of an output step of 10 ms; stable at all of them
+QUICKEST = ("Euler", "discrete")
 INTEGRATORS = ("Euler", "RK4", "implicit", "implicitfast", "discrete")
 
 
@@ -107,26 +108,36 @@ def _name(arm: Arm, pieces: int) -> str:
     return "MuJoCo, rigid" if arm.joints[0].stiffness is None else "MuJoCo, rigid links"
 
 
-def runs(scene: PrecisionScene) -> list[Timer]:
-    """Return timers of the rigid arm, the arm of rigid links, and the arms of 4 and 8 pieces per link."""
-    rigid = with_rigid_joints(scene.scene)
+def runs(scene: PrecisionScene, names: Sequence[str] = QUICKEST) -> list[Timer]:
+    """Return timers of the rigid arm, the arm of rigid links, and the arms of 4 and 8 pieces per link.
+
+    Args:
+        scene: scene with its reference.
+        names: integrators of the arms of pieces.
+    """
+    rigid, interval = with_rigid_joints(scene.scene), scene.scene.output_step
     return [
-        lambda: peer_row(scene, run(rigid, 0, "RK4", RIGID_STEP)),
-        lambda: peer_row(scene, run(scene.scene, 0, "RK4", RIGID_LINKS_STEP)),
-        *stable_runs(scene),
+        lambda: peer_row(scene, run(rigid, 0, "RK4", interval / RIGID_STEPS)),
+        lambda: peer_row(scene, run(scene.scene, 0, "RK4", interval / RIGID_LINKS_STEPS)),
+        *stable_runs(scene, names),
     ]
 
 
-def stable_runs(scene: PrecisionScene) -> list[Timer]:
+def stable_runs(scene: PrecisionScene, names: Sequence[str]) -> list[Timer]:
     """Return timers of the arms of 4 and 8 pieces per link at the longest stable step of each integrator."""
     result: list[Timer] = []
     for pieces in (4, 8):
-        for name in integrators():
+        for name in names:
             timed = partial(_timed, scene, pieces, name)
             parts = fewest_parts(timed) if name != "discrete" else 0
             chosen = {"discrete": DISCRETE, "Euler": (parts, 2 * parts)}.get(name, (parts,))
             result += [partial(timed, each) for each in chosen]
     return result
+
+
+def sane_error(arm: Arm) -> float:
+    """Return the largest error of the tip, m, of a run that counts as stable."""
+    return SANE * sum(link.length for link in arm.links)
 
 
 def fewest_parts(timed: Callable[[int], PrecisionRow]) -> int:
@@ -143,4 +154,5 @@ def longest_step(scene: PrecisionScene, pieces: int, integrator: str) -> float:
 
 
 def _timed(scene: PrecisionScene, pieces: int, integrator: str, parts: int) -> PrecisionRow:
-    return peer_row(scene, run(scene.scene, pieces, integrator, scene.scene.output_step / parts), sane=SANE)
+    done = run(scene.scene, pieces, integrator, scene.scene.output_step / parts)
+    return peer_row(scene, done, sane=sane_error(scene.scene.arm))

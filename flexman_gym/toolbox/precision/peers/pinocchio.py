@@ -8,30 +8,51 @@ import numpy as np
 
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.errors import value_error
+from flexman_gym.model.dynamics import mass_matrix
+from flexman_gym.model.model import build_model
 from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.scene import Scene
 from flexman_gym.toolbox.precision.peers.peer_run import PeerRun, check_modelled, output_count, peer_row
 from flexman_gym.toolbox.precision.runs import PrecisionScene, Timer
 
 pin: Any = importlib.import_module("pinocchio")  # no type stubs
-STEP = 1e-3
+STEPS = 10  # Runge-Kutta steps of an output step; their error is far below that of a rigid arm
 
 
 def rigid_model(arm: Arm) -> Any:
-    """Return the `pinocchio.Model` of an arm of uniform links with rotors, rigid joints and no payload."""
-    if arm.payload is not None:
-        raise value_error("arm.payload", arm.payload, "None for Pinocchio")
+    """Return the `pinocchio.Model` of an arm with rotors and rigid joints.
+
+    Raises:
+        ValueError: for an arm with bodies beside its beams and a payload at the tip, which the model would lack.
+    """
     model, place, parent = pin.Model(), pin.SE3.Identity(), 0
-    for (link,), joint in zip((each.sections for each in arm.links), arm.joints, strict=True):  # uniform links
+    for link, joint in zip(arm.links, arm.joints, strict=True):
         parent = model.addJoint(parent, pin.JointModelRevoluteUnaligned(*joint.axis), place, f"joint {parent + 1}")
-        y, z, slender = link.second_moment_y, link.second_moment_z, link.area * link.length**2 / 12
-        inertia = link.density * link.length * np.diag([y + z, y + slender, z + slender])
-        body, turn = pin.Inertia(link.mass, np.array([link.length / 2, 0.0, 0.0]), inertia), np.array(link.orientation)
-        model.appendBodyToJoint(parent, body, pin.SE3(turn, np.zeros(3)))
-        place = pin.SE3(np.eye(3), turn[:, 0] * link.length)
+        turn, reached = np.array(link.orientation), 0.0
+        for section in link.sections:
+            y, z, slender = section.second_moment_y, section.second_moment_z, section.area * section.length**2 / 12
+            inertia = section.density * section.length * np.diag([y + z, y + slender, z + slender])
+            body = pin.Inertia(section.mass, np.array([reached + section.length / 2, 0.0, 0.0]), inertia)
+            model.appendBodyToJoint(parent, body, pin.SE3(turn, np.zeros(3)))
+            reached += section.length
+        place = pin.SE3(np.eye(3), turn[:, 0] * reached)
+    if arm.payload is not None:
+        inertia = np.zeros((3, 3)) if arm.payload.inertia is None else np.array(arm.payload.inertia)
+        offset = np.zeros(3) if arm.payload.offset is None else np.array(arm.payload.offset)
+        model.appendBodyToJoint(parent, pin.Inertia(arm.payload.mass, offset, inertia), place)
     model.addFrame(pin.Frame("tip", parent, 0, place, pin.FrameType.OP_FRAME))
     model.armature, model.gravity.linear = np.array([j.rotor_inertia for j in arm.joints]), np.array(arm.gravity)
+    _check_mass(arm, model)
     return model
+
+
+def _check_mass(arm: Arm, model: Any) -> None:
+    """Raise a ValueError if the mass matrix differs from that of our rigid arm."""
+    ours = build_model(arm, flexible_links=False, flexible_joints=False)
+    posture = np.linspace(0.3, 0.9, arm.n_joints)
+    theirs, expected = pin.crba(model, model.createData(), posture), mass_matrix(ours, ours.initial_state(posture))
+    if not np.allclose(np.triu(theirs), np.triu(expected), rtol=0.0, atol=1e-9 * expected.max()):
+        raise value_error("arm", "an arm with further bodies", "one of beams, rotors and a payload for Pinocchio")
 
 
 def run(scene: Scene, step: float) -> PeerRun:
@@ -68,4 +89,5 @@ def _runge_kutta(model: Any, data: Any, state: tuple[Array, Array], torque: Arra
 
 def runs(scene: PrecisionScene) -> list[Timer]:
     """Return the timer of the rigid arm."""
-    return [lambda: peer_row(scene, run(scene.scene, STEP))]
+    rigid_model(scene.scene.arm)  # raises a ValueError for an arm that it lacks
+    return [lambda: peer_row(scene, run(scene.scene, scene.scene.output_step / STEPS))]

@@ -1,0 +1,130 @@
+"""Charts of error against computing time: one panel for each scene."""
+
+import math
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+from flexman_gym.common.plot_style import BLUE, BROWN, GREEN, LIGHT, PURPLE, RED, SLATE, new_figure, save_figure
+from flexman_gym.toolbox.precision.runs import OK, PrecisionRow, pareto_front
+from flexman_gym.toolbox.precision.scene_runs import DEFAULT
+
+DPI = 100.0  # pixels per inch of a chart in a page
+PANEL = (4.4, 3.5)  # inches; width and height of a panel
+COST, ERROR = "computing time, CPU s per simulated s", "largest error of the tip, m"
+PEERS = {  # words in the name of the model -> label, colour, marker; the first that fits
+    "MuJoCo, rods": ("MuJoCo, rods", PURPLE, "D"), "MuJoCo, rigid": ("MuJoCo, rigid", BROWN, "X"),
+    "MuJoCo": ("MuJoCo, rigid pieces", RED, "o"), "Exudyn": ("Exudyn, floating frame", SLATE, "P"),
+    "Pinocchio": ("Pinocchio, rigid", BROWN, "s"), "SoRoMoX": ("SoRoMoX", GREEN, "v"),
+}  # fmt: skip
+
+
+def family_of(row: PrecisionRow) -> str | None:
+    """Return the first words of `PEERS` in the model of a row; None for our rows."""
+    return next((words for words in PEERS if row.model.startswith(words)), None)
+
+
+def is_default(row: PrecisionRow) -> bool:
+    """Return True for the run with model, method and step of the environments, which is the first of its scene."""
+    return row.model == DEFAULT
+
+
+def front_of(rows: Iterable[PrecisionRow], floor: float = 0.0) -> list[PrecisionRow]:
+    """Return our runs on the Pareto front, by increasing cost.
+
+    Errors below the floor (m) count as equal. A run counts with the largest error of its model and method at its step
+    and all shorter ones, so that errors of model and method that cancel at one step by chance do not count.
+    """
+    ours = [row for row in rows if family_of(row) is None]
+    errors: dict[tuple[str, str], float] = {}
+    points = {}
+    for row in sorted(ours, key=lambda row: row.step or 0.0):
+        key = row.model, row.method
+        errors[key] = max(floor, errors.get(key, 0.0), _error(row))
+        points[row] = (row.cpu, errors[key])
+    return [ours[i] for i in pareto_front([points[row] for row in ours])]
+
+
+def _error(row: PrecisionRow) -> float:
+    """Return the error of the tip, m; infinite for a failed run."""
+    return math.inf if row.status != OK or row.total_error is None else row.total_error
+
+
+def conclusion(rows: Sequence[PrecisionRow]) -> str:
+    """Return a sentence on the default of the environments, the first row, and the other simulators with its error."""
+    default = rows[0]
+    if default.status != OK or default.total_error is None:
+        return f"The default is {default.status}"
+    reached = f"The default: {1e3 * default.total_error:.2g} mm at {1e3 * default.cpu:.2g} ms per s"
+    flexible = [row for row in rows if family_of(row) is not None and "rigid" not in row.model.split(", ")[-1]]
+    if not flexible:
+        return reached
+    equal = min((row for row in flexible if _error(row) <= default.total_error), key=lambda row: row.cpu, default=None)
+    if equal is None:
+        return f"{reached}; no other simulator has a smaller error"
+    return f"{reached}; {equal.model.split(',')[0]} takes {equal.cpu / default.cpu:.2g} times as long for its error"
+
+
+def draw_panel(axes: Any, rows: Sequence[PrecisionRow], floor: float, title: str) -> None:
+    """Draw the runs of a scene: ours as dots, their front as a line, the default with a ring, others with a label.
+
+    Args:
+        axes: axes of Matplotlib.
+        rows: runs of one scene; the first is the default of the environments.
+        floor: error of the reference, m; a dashed line.
+        title: title of the panel.
+    """
+    axes.set(xscale="log", yscale="log")
+    axes.set_title(title, fontsize=10, loc="left")
+    ours = [row for row in rows if family_of(row) is None and math.isfinite(_error(row))]
+    axes.plot(*_points(ours), ".", color=BLUE, markersize=3.0, alpha=0.35)
+    front = front_of(rows, floor)
+    axes.plot(*_points(front), color=BLUE, linewidth=2.0, drawstyle="steps-post")
+    if front:
+        _label(axes, front[-1], "flexman_gym,\ncheapest runs", BLUE, (4, 6))
+    for words, (label, colour, marker) in PEERS.items():
+        mine = [row for row in rows if family_of(row) == words and math.isfinite(_error(row))]
+        if mine:
+            axes.plot(*_points(mine), marker, color=colour, markersize=6.0)
+            _label(axes, min(mine, key=_error), label, colour, (5, -12))
+    default = rows[0]
+    axes.plot(*_points([default]), "o", markersize=12.0, markerfacecolor="none", color=BLUE, markeredgewidth=2.0)
+    _label(axes, default, "default", BLUE, (9, 5))
+    axes.axhline(floor, color=SLATE, linewidth=1.0, linestyle="--", zorder=1)
+    axes.annotate("error of the reference", (0.01, floor), xycoords=("axes fraction", "data"), xytext=(0, 3),
+                  textcoords="offset points", fontsize=8, color=SLATE)  # fmt: skip
+
+
+def _points(rows: Sequence[PrecisionRow]) -> tuple[list[float], list[float]]:
+    return [row.cpu for row in rows], [_error(row) for row in rows]
+
+
+def _label(axes: Any, row: PrecisionRow, text: str, colour: str, offset: tuple[float, float]) -> None:
+    """Write a label beside a run; the offset is in points."""
+    axes.annotate(text, (row.cpu, _error(row)), xytext=offset, textcoords="offset points", fontsize=8.5, color=colour)
+
+
+def draw_scenes(scenes: Sequence[tuple[Sequence[PrecisionRow], float, str]], path: Path) -> Path:
+    """Draw a panel for each scene, two side by side, and return the path of the picture.
+
+    Args:
+        scenes: arguments of `draw_panel` after the axes, for each scene.
+        path: path of the picture; its suffix decides the format.
+
+    Raises:
+        ImportError: without Matplotlib.
+    """
+    columns = min(2, len(scenes))
+    lines = math.ceil(len(scenes) / columns)
+    figure = new_figure((PANEL[0] * columns, PANEL[1] * lines), DPI, layout="constrained")
+    every = figure.subplots(lines, columns, squeeze=False, sharex=len(scenes) > 1)
+    for axes, each in zip(every.flat, scenes, strict=False):
+        draw_panel(axes, *each)
+        axes.grid(color=LIGHT, linewidth=0.6)
+        axes.spines[["top", "right"]].set_visible(False)
+        axes.margins(x=0.12, y=0.08)
+    for axes in every.flat[len(scenes) :]:
+        axes.set_visible(False)
+    figure.supxlabel(COST, fontsize=10)
+    figure.supylabel(ERROR, fontsize=10)
+    return save_figure(figure, path)
