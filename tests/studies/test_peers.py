@@ -15,6 +15,8 @@ from studies.peers import measure
 from studies.peers.measure import decay, decays
 from studies.precision.measure import cost_at
 
+from oracles.files import REFERENCE
+
 ARM, SCENE = fm.catalog.paper_rrr(), fm.catalog.paper_scene("ff")
 ROW = PrecisionRow("paper_ff", "2 elements a link", "ros2", 1e-3, None, 0.02, 0.02, 1e3, 2e-3, 3e-2, "ok")
 
@@ -179,7 +181,14 @@ def test_costs_between_runs_follow_a_power_law():
     assert cost_at(rows, 1e-1) is None and cost_at(rows, 1e-7) is None and cost_at([], 1e-3) is None
 
 
-def test_peers_that_are_missing_are_named(monkeypatch, capsys):
+def test_models_of_peers_that_are_missing_are_named(monkeypatch, capsys):
+    monkeypatch.setattr(measure, "peer_timers", lambda result: ([], ["MuJoCo is left out"]))
     monkeypatch.setattr(measure.importlib, "import_module", lambda name: __import__("no_such_peer"))
-    assert measure.theirs(None) == []
-    assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == list(measure.PEERS)
+    assert measure.theirs(None, alone=False) == []
+    assert capsys.readouterr().out == "MuJoCo is left out\n"
+
+
+def test_the_scenes_of_the_comparison_are_four_and_that_of_the_paper_is_first():
+    scenes = measure.scenes(REFERENCE)
+    assert scenes[0].name == measure.PAPER and len({scene.name for scene in scenes}) == 4
+    assert all(scene.tolerance > 0.0 for scene in scenes)

@@ -16,7 +16,6 @@ from flexman_gym.simulation.methods import METHODS
 from flexman_gym.simulation.scene_simulation import simulate
 from flexman_gym.toolbox.precision.runs import PrecisionRow, ReferenceSolution, pareto_front
 from studies.methods import largest_growth
-from studies.peers.measure import CUT_MESH, CUT_MODES
 from studies.precision.measure import RIGID_LINKS, cases, cheapest, choices, setbacks, whirl_scene
 from studies.precision.page import compute
 
@@ -151,11 +150,3 @@ def test_amplification_is_that_of_one_step_of_an_oscillator(name):
         table.append([last[i + 1] + (last[i + 1] - last[i]) / (ratio - 1) for i, ratio in enumerate(ratios)])
     assert abs(table[-1][0]) == pytest.approx(factor, rel=1e-12)
     assert 1.0 < factor < 1.01
-
-
-def test_the_modes_kept_beside_peers_move_the_tip_as_all_of_the_mesh_do():
-    scene = catalog.paper_scene("ff")
-    built = [build_model(scene.arm, CUT_MESH, modes, stiffening=True) for modes in (CUT_MODES, None)]
-    assert built[0].n_elastic == 20 and built[1].n_elastic == 42
-    cut, every = (simulate(scene, model, "implicit_midpoint", step=1e-3).tip for model in built)
-    assert np.linalg.norm(cut - every, axis=1).max() == pytest.approx(1.0e-3, abs=0.1e-3)

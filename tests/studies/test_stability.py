@@ -39,6 +39,7 @@ from studies.stability.rows import (
     drift_rows,
     limit_rows,
     map_rows,
+    remaining,
 )
 
 from oracles.files import ROOT
@@ -295,3 +296,12 @@ def test_a_long_run_reports_its_energy():
 
 def test_the_growth_that_a_measurement_tolerates_is_small():
     assert 0.0 < growth_per_step() < 2e-3
+
+
+@pytest.mark.parametrize("decay", [0.0, 0.1, 0.5])
+@pytest.mark.parametrize("wobble", [0.0, 0.07])
+def test_the_amplitude_left_is_that_of_the_decay_without_its_oscillation(decay, wobble):
+    """After ten seconds a decay leaves its exponential; an oscillation about it counts as nothing."""
+    times = 0.02 * np.arange(501)
+    amplitudes = np.exp(-decay * times) * (1.0 + wobble * np.sin(40.0 * times))
+    assert remaining(amplitudes) == pytest.approx(math.exp(-10.0 * decay), rel=5e-3 if wobble else 1e-9)

@@ -50,16 +50,26 @@ def _error(row: PrecisionRow) -> float:
     return math.inf if row.status != OK or row.total_error is None else row.total_error
 
 
+def _flexible_peers(rows: Sequence[PrecisionRow]) -> list[PrecisionRow]:
+    """Return the runs of other simulators with flexible links."""
+    return [row for row in rows if family_of(row) is not None and "rigid" not in row.model.split(", ")[-1]]
+
+
+def cheapest_equal(rows: Sequence[PrecisionRow]) -> PrecisionRow | None:
+    """Return the cheapest run of another simulator with at most the error of the default, the first row, or None."""
+    equal = [row for row in _flexible_peers(rows) if _error(row) <= _error(rows[0])]
+    return min(equal, key=lambda row: row.cpu, default=None)
+
+
 def conclusion(rows: Sequence[PrecisionRow]) -> str:
     """Return a sentence on the default of the environments, the first row, and the other simulators with its error."""
     default = rows[0]
     if default.status != OK or default.total_error is None:
         return f"The default is {default.status}"
     reached = f"The default: {1e3 * default.total_error:.2g} mm at {1e3 * default.cpu:.2g} ms per s"
-    flexible = [row for row in rows if family_of(row) is not None and "rigid" not in row.model.split(", ")[-1]]
-    if not flexible:
+    if not _flexible_peers(rows):
         return reached
-    equal = min((row for row in flexible if _error(row) <= default.total_error), key=lambda row: row.cpu, default=None)
+    equal = cheapest_equal(rows)
     if equal is None:
         return f"{reached}; no other simulator has a smaller error"
     return f"{reached}; {equal.model.split(',')[0]} takes {equal.cpu / default.cpu:.2g} times as long for its error"

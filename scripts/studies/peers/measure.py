@@ -4,6 +4,7 @@ import importlib
 import os
 import time
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -16,85 +17,108 @@ from flexman_gym.kernels import layout
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.toolbox.precision.peers.peer_run import PeerRun, peer_row
 from flexman_gym.toolbox.precision.runs import PrecisionRow, PrecisionScene, ReferenceSolution, Timer
+from flexman_gym.toolbox.precision.scene_runs import (
+    PLAIN,
+    finest_solution,
+    our_rows,
+    peer_timers,
+    precision_scene,
+    scene_models,
+)
 from studies.methods import vibration_factor
-from studies.precision.measure import FINEST, LARGE_ROTATION, PLAIN, RIGID, RIGID_LINKS, models
+from studies.precision.measure import LARGE_ROTATION, Floor, whirl_scene
 from studies.ringdown.measure import default_model
 
-ROUNDS = 3
-FINE = [f"{mesh}, foreshortening" for mesh in ("1, 2 and 2 elements", "2 elements a link", "3 elements a link")]
-# Loaded modes after backward elimination, which removes the mode with the smallest effect on the tip in this scene; all
-# removed modes together move the tip by 1.0 mm. Link 1 keeps all modes but the axial one, link 2 four bending modes
-# along each axis and two torsional modes, link 3 two bending modes along each axis and the first axial mode.
-CUT, CUT_MESH = "20 modes of 1, 3 and 3 elements, foreshortening", (1, 3, 3)
-CUT_MODES = ((0, 1, 2, 3, 4), (0, 1, 2, 3, 4, 5, 6, 7, 8, 14), (0, 1, 2, 3, 9))
-CHOSEN, TOLERANCE = "chosen for 4.5 mm with its mesh", 4.5e-3  # m; tolerance of `choose_model`
-GRID = {"extrapolated_euler_3": (1, 2, 3, 4, 5, 6), "extrapolated_euler_5": (1, 2, 3)}
-GRID |= {"midpoint_2": (1, 2, 3, 4, 5, 6), "midpoint_3": (1, 2, 3, 4, 5, 6)}
-GRID |= {"gauss_2": (1, 2, 3, 4), "gauss_3": (1, 2, 3, 4)}
-GRID["implicit_midpoint"] = (2, 3, 4, 5, 6, 100)  # the last isolates the model error
-MORE = {
-    "extrapolated_euler_4": (1, 2, 3),
-    "ros2": (5, 10),
-    "generalised_alpha": range(4, 7),
-}  # models with studied time error
+ROUNDS = 3  # rounds in which all runs of a scene take turns; the row of lowest CPU time counts
+CHOSEN = "chosen by choose_model"
 PEERS = {"MuJoCo": "mujoco", "Exudyn": "exudyn", "Pinocchio": "pin", "SoRoMoX": "soromox"}  # simulator -> package
-_PACKAGE = "flexman_gym.toolbox.precision.peers"
-MODULES = {
-    "MuJoCo": (f"{_PACKAGE}.mujoco", "studies.peers.rods"), "Exudyn": (f"{_PACKAGE}.exudyn",),
-    "Pinocchio": (f"{_PACKAGE}.pinocchio",), "SoRoMoX": ("studies.peers.soromox",),
-}  # fmt: skip
+PAPER, ALONE = "paper_ff", ("studies.peers.rods", "studies.peers.soromox")  # models of the paper's arm at rest only
+
+
+@dataclass(frozen=True)
+class PeerScene:
+    """Scene of the comparison.
+
+    Attributes:
+        name, title: name and description of the scene.
+        scene: arm and motion.
+        tolerance: tolerance of `choose_model`, m.
+    """
+
+    name: str
+    title: str
+    scene: fm.Scene
+    tolerance: float
+
+
+def scenes(reference: Path) -> list[PeerScene]:
+    """Return the scenes; `reference` is the folder of reference scenes."""
+    laboratory = fm.catalog.quanser_2dsfl()
+    torque = fm.SineTorque([0.5 * (joint.torque_limit or 0.0) for joint in laboratory.joints], [1.0, 2.0], [0.0, 1.0])
+    choice, rest = fm.ModelChoice((True, True), (2, 2)), fm.Initial((0.0, 0.0), (0.0, 0.0))
+    payload = fm.Scene.load(reference / "gravity_payload_ff.json")
+    return [
+        PeerScene(PAPER, "The paper's arm, 400 N m at each joint", fm.catalog.paper_scene("ff"), 5e-3),
+        PeerScene("gravity_payload_ff", "Gravity, damping, a payload of 5 kg", payload, 5e-3),
+        PeerScene("whirl_ff", "A fast whirl without torques", whirl_scene(), 5e-3),
+        PeerScene("quanser", "A laboratory arm of two strips",
+                  fm.Scene(laboratory, choice, torque, rest, 1.5, 0.005), 1e-3),
+    ]  # fmt: skip
 
 
 def large_rotation_solution(reference: Path) -> ReferenceSolution:
     """Return the independent large-rotation solution; its floor is its distance from our finest model."""
-    tip, scene = np.loadtxt(reference / LARGE_ROTATION, delimiter=",", skiprows=1)[:, 1:4], fm.catalog.paper_scene("ff")
-    finest = fm.simulate(scene, models(scene)[FINEST], "implicit_midpoint", step=1e-4)
-    return ReferenceSolution(tip, ReferenceSolution(tip, 0.0, "").distance(finest), LARGE_ROTATION)
+    tip = np.loadtxt(reference / LARGE_ROTATION, delimiter=",", skiprows=1)[:, 1:4]
+    finest = finest_solution(fm.catalog.paper_scene("ff")).tip
+    return ReferenceSolution(tip, float(np.linalg.norm(finest - tip, axis=1).max()), "independent large-rotation code")
 
 
-def study(known: ReferenceSolution) -> PrecisionScene:
-    """Return the study: scene, reference, our models, and the converged solution of the paper's model."""
-    scene = fm.catalog.paper_scene("ff")
-    built = models(scene) | {CUT: fm.build_model(scene.arm, CUT_MESH, CUT_MODES, stiffening=True)}
-    built[CHOSEN] = _chosen().model
-    plain = ReferenceSolution(fm.simulate(scene, built[PLAIN], "rk4", step=1e-4).tip, 2e-8, "rk4, 0.1 ms")
-    return PrecisionScene("paper_ff", scene, built, known, {PLAIN: plain})
+def study(case: PeerScene, reference: Path) -> PrecisionScene:
+    """Return a scene with models and reference; that of the paper's scene is by an independent code."""
+    if case.name != PAPER:
+        return precision_scene(case.scene, case.name)
+    built = scene_models(case.scene)
+    plain = ReferenceSolution(fm.simulate(case.scene, built[PLAIN], "rk4", step=1e-4).tip, 2e-8, "rk4, 0.1 ms")
+    return PrecisionScene(case.name, case.scene, built, large_rotation_solution(reference), {PLAIN: plain}, case.title)
 
 
-def _chosen() -> fm.Choice:
-    """Return the choice of `choose_model` for the scene with an open mesh."""
-    scene = fm.catalog.paper_scene("ff")
-    return fm.choose_model(replace(scene, model=replace(scene.model, elements=None)), TOLERANCE)
+def measured(case: PeerScene, reference: Path) -> tuple[list[PrecisionRow], Floor]:
+    """Return the rows of a scene, ours first and the default before all, and the error of its reference."""
+    result = study(case, reference)
+    floor = Floor(case.name, case.title, "", result.reference.floor, result.reference.source)
+    choice = chosen(case)
+    built = result.models | {CHOSEN: choice.model}
+    timers = theirs(result, alone=case.name == PAPER)
+    best: dict[tuple[str, str, float | None], PrecisionRow] = {}
+    for _ in range(ROUNDS):
+        rows = [*our_rows(result), replace(result, models=built).row(CHOSEN, choice.method, choice.step)]
+        for row in (*rows, *(timer() for timer in timers)):
+            key = row.model, row.method, row.step
+            best[key] = min(row, best.get(key, row), key=lambda each: each.cpu)
+    return list(best.values()), floor
 
 
-def ours(result: PrecisionScene) -> list[Timer]:
-    """Return timers of our runs: fine models, the paper's model (with time errors), and rigid models."""
-    timers: list[Timer] = []
-    for model in [CUT, *FINE, PLAIN]:
-        for method, parts in (GRID | (MORE if model == PLAIN else {})).items():
-            timers += [lambda a=(model, method, 0.01 / part): result.row(*a) for part in parts]  # type: ignore[misc]
-    choice = _chosen()
-    timers.append(lambda: result.row(CHOSEN, choice.method, choice.step))
-    rigid = (RIGID, 1e-3), (RIGID_LINKS, 5e-3)
-    return timers + [lambda a=(model, "rk4", step): result.row(*a) for model, step in rigid]
+def chosen(case: PeerScene) -> fm.Choice:
+    """Return the choice of `choose_model` for a scene with an open mesh."""
+    return fm.choose_model(replace(case.scene, model=replace(case.scene.model, elements=None)), case.tolerance)
 
 
-def theirs(result: PrecisionScene) -> list[Timer]:
-    """Return timers of the runs of all installed simulators."""
-    timers: list[Timer] = []
-    for name, modules in MODULES.items():
+def theirs(result: PrecisionScene, alone: bool) -> list[Timer]:
+    """Return timers of the runs of all installed simulators; `alone` adds the models of the paper's arm."""
+    timers, lines = peer_timers(result)
+    if alone:
+        with suppress(ModuleNotFoundError):
+            from flexman_gym.toolbox.precision.peers import mujoco
+
+            others = [name for name in mujoco.integrators() if name not in mujoco.QUICKEST]
+            timers += mujoco.stable_runs(result, others)
+    for name in ALONE if alone else ():
         try:
-            timers += [each for module in modules for each in importlib.import_module(module).runs(result)]
-        except ModuleNotFoundError:
-            print(f"{name} is missing, so it is left out: pip install 'flexman_gym[peers]'")
+            timers += importlib.import_module(name).runs(result)
+        except ModuleNotFoundError as error:
+            lines.append(f"{name} is left out: {error}")
+    print("".join(f"{line}\n" for line in lines), end="", flush=True)
     return timers
-
-
-def in_turns(timers: Sequence[Timer]) -> list[PrecisionRow]:
-    """Run all timers in interleaved rounds and return the row of lowest CPU time of each."""
-    rounds = [[timer() for timer in timers] for _ in range(ROUNDS)]
-    best = [min(rows, key=lambda row: row.cpu) for rows in zip(*rounds, strict=True)]
-    return sorted(best, key=lambda row: (row.model, row.method, -(row.step or 0.0)))
 
 
 def of_peers(rows: Sequence[PrecisionRow]) -> list[PrecisionRow]:

@@ -1,4 +1,4 @@
-"""Simulations of the paper's arm, compared with other codes."""
+"""Error against computing time of our methods and of other simulators, in four scenes."""
 
 from argparse import Namespace
 from collections.abc import Iterable, Iterator
@@ -7,35 +7,27 @@ from typing import Any
 import flexman_gym as fm
 from flexman_gym.common.computer import computer_text
 from flexman_gym.toolbox.precision.runs import PrecisionRow
-from studies.peers.measure import (
-    PEERS,
-    Decay,
-    batch_rows,
-    decays,
-    in_turns,
-    large_rotation_solution,
-    of_peers,
-    ours,
-    study,
-    theirs,
-)
+from studies.peers.measure import PAPER, PEERS, Decay, batch_rows, decays, measured, of_peers, scenes, study
 from studies.peers.page import draw, page
+from studies.precision.measure import Floor
 from studies.study import Study, Table
 from studies.verification.motions import REFERENCE
 
 
 def measure(options: Namespace) -> Iterator[Iterable[Any]]:
-    """Yield the rows of all simulators, in interleaved rounds, and of their numerical damping."""
-    result = study(large_rotation_solution(REFERENCE))
-    alone = in_turns(ours(result) + theirs(result))
-    yield alone + batch_rows(result, alone)
-    yield decays(fm.catalog.paper_rrr(), of_peers(alone))
+    """Yield the rows of all simulators, the errors of the references, and the numerical damping of the simulators."""
+    done = [measured(case, REFERENCE) for case in scenes(REFERENCE)]
+    paper = next(rows for rows, floor in done if floor.scene == PAPER)
+    batches = batch_rows(study(scenes(REFERENCE)[0], REFERENCE), paper)
+    yield [row for rows, _ in done for row in rows] + batches
+    yield [floor for _, floor in done]
+    yield decays(fm.catalog.paper_rrr(), of_peers(paper))
 
 
 RUNNER = Study(
-    tables=(Table("peers", PrecisionRow), Table("peers_damping", Decay)),
+    tables=(Table("peers", PrecisionRow), Table("peers_truths", Floor), Table("peers_damping", Decay)),
     measure=measure,
     pages={"peers.md": page},
-    charts=lambda folder, rows, _: draw(rows, large_rotation_solution(REFERENCE).floor, folder),
+    charts=lambda folder, rows, floors, _: draw(rows, floors, folder),
     comment=lambda _: computer_text(PEERS.values()),
 )

@@ -41,8 +41,8 @@ frequency times step, `extrapolated_euler_3` amplifies a vibration by up to {gro
 
 {table}
 
-Under `{default}` the amplitude oscillates by at most (omega h)^2 / 12, without decay or growth; at 20 ms from {low:.4g}
-to {high:.4g} %.
+The amplitude is the root mean square over a second. Under `{default}` it oscillates within that second by at most
+(omega h)^2 / 12, without decay or growth: at 20 ms from {low:.4g} to {high:.4g} % of its start.
 
 Without stiffening a spinning link diverges above {spin:.2f} rad/s with any method, as theory predicts; with
 stiffening {sound} of {all} runs at the smallest step are accurate to 1 mm.
