@@ -9,6 +9,7 @@ from flexman_gym.common.plot_style import BLUE, BROWN, GREEN, LIGHT, PURPLE, RED
 from flexman_gym.toolbox.precision.runs import OK, PrecisionRow, pareto_front
 from flexman_gym.toolbox.precision.scene_runs import DEFAULT
 
+CHOSEN = "chosen for "  # begins the name of a model of `choose_model`, before its tolerance
 DPI = 100.0  # pixels per inch of a chart in a page
 PANEL = (4.4, 3.5)  # inches; width and height of a panel
 COST, ERROR = "computing time, CPU s per simulated s", "largest error of the tip, m"
@@ -78,6 +79,8 @@ def conclusion(rows: Sequence[PrecisionRow]) -> str:
 def draw_panel(axes: Any, rows: Sequence[PrecisionRow], floor: float, title: str) -> None:
     """Draw the runs of a scene: ours as dots, their front as a line, the default with a ring, others with a label.
 
+    A run of a model of `choose_model` has a diamond.
+
     Args:
         axes: axes of Matplotlib.
         rows: runs of one scene; the first is the default of the environments.
@@ -97,6 +100,10 @@ def draw_panel(axes: Any, rows: Sequence[PrecisionRow], floor: float, title: str
         if mine:
             axes.plot(*_points(mine), marker, color=colour, markersize=6.0)
             _label(axes, min(mine, key=_error), label, colour, (5, -12))
+    for row in rows:
+        if row.model.startswith(CHOSEN):
+            axes.plot(*_points([row]), "D", markersize=8.0, markerfacecolor="none", color=BLUE, markeredgewidth=1.5)
+            _label(axes, row, row.model.partition(":")[0], BLUE, (-8, -14))
     default = rows[0]
     axes.plot(*_points([default]), "o", markersize=12.0, markerfacecolor="none", color=BLUE, markeredgewidth=2.0)
     _label(axes, default, "default", BLUE, (9, 5))

@@ -15,10 +15,12 @@ import flexman_gym as fm
 from flexman_gym.common.arrays import Array
 from flexman_gym.kernels import layout
 from flexman_gym.simulation.batch import Batch
+from flexman_gym.toolbox.precision.charts import CHOSEN
 from flexman_gym.toolbox.precision.peers.peer_run import PeerRun, peer_row
 from flexman_gym.toolbox.precision.runs import PrecisionRow, PrecisionScene, ReferenceSolution, Timer
 from flexman_gym.toolbox.precision.scene_runs import (
     PLAIN,
+    SHORTENED,
     finest_solution,
     our_rows,
     peer_timers,
@@ -30,7 +32,6 @@ from studies.precision.measure import LARGE_ROTATION, Floor, whirl_scene
 from studies.ringdown.measure import default_model
 
 ROUNDS = 3  # rounds in which all runs of a scene take turns; the row of lowest CPU time counts
-CHOSEN = "chosen by choose_model"
 PEERS = {"MuJoCo": "mujoco", "Exudyn": "exudyn", "Pinocchio": "pin", "SoRoMoX": "soromox"}  # simulator -> package
 PAPER, ALONE = "paper_ff", ("studies.peers.rods", "studies.peers.soromox")  # models of the paper's arm at rest only
 
@@ -87,11 +88,13 @@ def measured(case: PeerScene, reference: Path) -> tuple[list[PrecisionRow], Floo
     result = study(case, reference)
     floor = Floor(case.name, case.title, "", result.reference.floor, result.reference.source)
     choice = chosen(case)
-    built = result.models | {CHOSEN: choice.model}
+    every = result.models[SHORTENED].n_dof
+    name = f"{CHOSEN}{1e3 * case.tolerance:g} mm: {choice.model.n_dof} of {every} coordinates"
+    built = result.models | {name: choice.model}
     timers = theirs(result, alone=case.name == PAPER)
     best: dict[tuple[str, str, float | None], PrecisionRow] = {}
     for _ in range(ROUNDS):
-        rows = [*our_rows(result), replace(result, models=built).row(CHOSEN, choice.method, choice.step)]
+        rows = [*our_rows(result), replace(result, models=built).row(name, choice.method, choice.step)]
         for row in (*rows, *(timer() for timer in timers)):
             key = row.model, row.method, row.step
             best[key] = min(row, best.get(key, row), key=lambda each: each.cpu)

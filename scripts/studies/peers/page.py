@@ -1,12 +1,13 @@
 """Page and chart of the comparison with other simulators."""
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 from flexman_gym.common.markdown import markdown_table
-from flexman_gym.toolbox.precision.charts import cheapest_equal, conclusion, draw_scenes, family_of, front_of
+from flexman_gym.toolbox.precision.charts import CHOSEN, cheapest_equal, conclusion, draw_scenes, family_of, front_of
 from flexman_gym.toolbox.precision.runs import OK, PrecisionRow
-from flexman_gym.toolbox.precision.scene_runs import PLAIN
+from flexman_gym.toolbox.precision.scene_runs import PLAIN, SHORTENED
 from studies.peers.measure import PAPER, ROUNDS, Decay, of_peers
 from studies.precision.measure import Floor, cost_at
 from studies.screen import picture, screen
@@ -34,6 +35,8 @@ foreshortening; simulators without a marker in a panel cannot run its scene.
 - A rigid arm: {rigid:.2g} ms, wrong by {far:.2g} m.
 - MuJoCo's `discrete` integrator takes {discrete:.0%} of the amplitude of the lowest mode per second at {step:g} ms;
   our methods and the other integrators take less than {others:.0e} of it."""
+CHOSEN_HEADS = ("scene", "tolerance", "coordinates", "method, step", "error", "CPU ms per s",
+                "two elements a link / chosen, cost at its error")  # fmt: skip
 HEADS = ("code", "model", "method, step", "error, mm", "CPU ms per s")
 
 
@@ -62,7 +65,7 @@ def page(
     rows = [row for row in paper if family_of(row) is None]
     mujoco = _cheapest(row for row in peers if (row.model, row.method) == ("MuJoCo, 8 pieces", "Euler"))
     front = front_of(rows)
-    exact = _cheapest(row for row in front if (row.total_error or 0.0) <= (mujoco.total_error or 0.0))
+    exact = _cheapest(row for row in front if _error(row) <= _error(mujoco))
     mine = [row for row in rows if row.model == PLAIN and row.time_error is not None and row.time_error <= WANTED]
     exudyn = [row for row in peers if row.model.startswith("Exudyn")]
     costs = sorted(cost_at([row for row in exudyn if row.method == method], WANTED) or 0.0
@@ -70,10 +73,10 @@ def page(
     rigid = {row.model: row for row in rows if row.method == "rk4"}["rigid"]
     lossy = max((loss for loss in losses if DISCRETE in loss.integrator), key=lambda loss: loss.step)
     answer = ANSWER.format(
-        scenes=_ratios(every, floors), error=1e3 * (mujoco.total_error or 0.0), exact=mujoco.cpu / exact.cpu,
+        scenes=_ratios(every, floors), error=1e3 * _error(mujoco), exact=mujoco.cpu / exact.cpu,
         wanted=1e3 * WANTED, exudyn=costs[0] / _cheapest(mine).cpu, default=costs[-1] / _cheapest(mine).cpu,
     )  # fmt: skip
-    shown = [("ours, default", rows[0]), *(("ours", row) for row in front if row.total_error < rows[0].total_error)]  # type: ignore[operator]
+    shown = [("ours, default", rows[0]), *(("ours", row) for row in front if _error(row) < _error(rows[0]))]
     shown += [_named(row) for row in (mujoco, *_finest(peers))]
     body = BODY.format(
         picture=picture(MESSAGE, PICTURE),
@@ -82,6 +85,26 @@ def page(
         others=max(abs(loss.loss) for loss in losses if DISCRETE not in loss.integrator) or 1e-8,
     )  # fmt: skip
     return screen("Comparison with other simulators", QUESTION, answer, body, files, "peers")
+
+
+def chosen_lines(every: Sequence[PrecisionRow], floors: Sequence[Floor], files: Mapping[str, str]) -> list[str]:
+    """Return the table of the models of `choose_model`, for docs/accuracy_and_speed.md."""
+    cells = []
+    for floor in floors:
+        rows = [row for row in every if row.scene == floor.scene]
+        chosen = next(row for row in rows if row.model.startswith(CHOSEN))
+        tolerance, _, size = chosen.model.removeprefix(CHOSEN).partition(": ")
+        whole = [row.cpu for row in rows if row.model == SHORTENED and _error(row) <= _error(chosen)]
+        ratio = f"{min(whole) / chosen.cpu:.2g}" if whole else "-"
+        cells.append((floor.title, tolerance, size.removesuffix(" coordinates"), f"`{chosen.method}`, {chosen.setting}",
+                      f"{1e3 * _error(chosen):.2g} mm", f"{1e3 * chosen.cpu:.2g}", ratio))  # fmt: skip
+    source = f"Rows: [peers.csv](evidence/peers.csv), {files['peers.csv']}."
+    return ["", *markdown_table(CHOSEN_HEADS, cells), "", source, ""]
+
+
+def _error(row: PrecisionRow) -> float:
+    """Return the error of the tip, m, of a run that did not fail."""
+    return math.inf if row.total_error is None else row.total_error
 
 
 def _ratios(every: Sequence[PrecisionRow], floors: Sequence[Floor]) -> str:
@@ -100,7 +123,7 @@ def _finest(peers: Sequence[PrecisionRow]) -> list[PrecisionRow]:
     for row in peers:
         if row.method != DISCRETE and "rigid" not in row.model and row.status == OK:
             families.setdefault(family_of(row), []).append(row)
-    return [min(runs, key=lambda row: row.total_error or 0.0) for runs in families.values()]
+    return [min(runs, key=lambda row: _error(row)) for runs in families.values()]
 
 
 def _named(row: PrecisionRow) -> tuple[str, PrecisionRow]:
@@ -109,7 +132,7 @@ def _named(row: PrecisionRow) -> tuple[str, PrecisionRow]:
 
 def _cells(code: str, row: PrecisionRow) -> tuple[str, ...]:
     model = row.model.removeprefix(f"{code}, ")
-    return code, model, f"{row.method}, {row.setting}", f"{1e3 * (row.total_error or 0.0):.2g}", f"{1e3 * row.cpu:.3g}"
+    return code, model, f"{row.method}, {row.setting}", f"{1e3 * _error(row):.2g}", f"{1e3 * row.cpu:.3g}"
 
 
 def _cheapest(rows: Iterable[PrecisionRow]) -> PrecisionRow:

@@ -7,11 +7,15 @@ from typing import Any
 import flexman_gym as fm
 from flexman_gym.common.computer import computer_text
 from flexman_gym.toolbox.precision.runs import PrecisionRow
+from studies.evidence import ROOT
 from studies.peers.measure import PAPER, PEERS, Decay, batch_rows, decays, measured, of_peers, scenes, study
-from studies.peers.page import draw, page
+from studies.peers.page import chosen_lines, draw, page
 from studies.precision.measure import Floor
+from studies.readme import replaced_part
 from studies.study import Study, Table
 from studies.verification.motions import REFERENCE
+
+PAGE = ROOT / "docs" / "accuracy_and_speed.md"  # has a table of the rows
 
 
 def measure(options: Namespace) -> Iterator[Iterable[Any]]:
@@ -27,7 +31,12 @@ def measure(options: Namespace) -> Iterator[Iterable[Any]]:
 RUNNER = Study(
     tables=(Table("peers", PrecisionRow), Table("peers_truths", Floor), Table("peers_damping", Decay)),
     measure=measure,
-    pages={"peers.md": page},
+    pages={
+        "peers.md": page,
+        str(PAGE): lambda rows, floors, _, files: replaced_part(
+            PAGE.read_text(encoding="utf-8"), "chosen", chosen_lines(rows, floors, files)
+        ),
+    },
     charts=lambda folder, rows, floors, _: draw(rows, floors, folder),
     comment=lambda _: computer_text(PEERS.values()),
 )

@@ -1,23 +1,47 @@
-"""Chart of the stability study: step limits of explicit methods."""
+"""Charts of the stability study: step limits of explicit methods, and a map of where each method fails."""
 
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
-from flexman_gym.common.plot_style import save_figure
+from flexman_gym.common.plot_style import BLUE, ORANGE, RED, SLATE, save_figure
+from flexman_gym.simulation.methods import DEFAULT_METHOD
 from studies.charts import new_chart
 from studies.methods import explicit_methods, line_styles, methods_of
-from studies.stability.measure import FULL_MODES, MODES, PAYLOAD, SPRINGS, StabilityRow, select
-from studies.stability.rows import LIMIT, LIMIT_STUDIES
+from studies.stability.measure import (
+    DIVERGED,
+    FULL_MODES,
+    INACCURATE,
+    MODES,
+    OK,
+    PAYLOAD,
+    SPIN_STIFFENED,
+    SPRINGS,
+    StabilityRow,
+    select,
+)
+from studies.stability.rows import ERROR, LIMIT, LIMIT_STUDIES
 
-PICTURE = "stability_step_limit.svg"
+PICTURE, MAP = "stability_step_limit.svg", "stability_map.svg"
+MAPPED = (SPRINGS, MODES, PAYLOAD, SPIN_STIFFENED)  # studies whose runs are on the map
+SHARES = {OK: (BLUE, "accurate to 1 mm"), INACCURATE: (ORANGE, "less accurate"), DIVERGED: (RED, "diverged")}
 LABELS = {
     SPRINGS: "stiffness of every joint spring (N m/rad)", MODES: "loaded modes per link", PAYLOAD: "payload (kg)",
 }  # fmt: skip
 
 
 def draw(rows: Sequence[StabilityRow], folder: Path) -> None:
+    """Draw the step limits and the map.
+
+    Raises:
+        ImportError: without Matplotlib.
+    """
+    draw_limits(rows, folder)
+    draw_map(rows, folder)
+
+
+def draw_limits(rows: Sequence[StabilityRow], folder: Path) -> None:
     """Plot the longest stable step against the parameter of each study: lines predicted, markers measured.
 
     Raises:
@@ -43,6 +67,35 @@ def draw(rows: Sequence[StabilityRow], folder: Path) -> None:
     handles = [each for each in zip(*axes.get_legend_handles_labels(), strict=True) if each[1] != "measured"]
     figure.legend(*zip(*handles, strict=True), loc="outside lower center", ncols=3, frameon=False, fontsize=9)
     save_figure(figure, folder / PICTURE)
+
+
+def mapped_rows(rows: Sequence[StabilityRow]) -> list[StabilityRow]:
+    """Return the runs of the map: the tip errors of all methods and steps, over springs, modes, payloads and spin."""
+    return [row for row in rows if row.quantity == ERROR and row.study in MAPPED]
+
+
+def draw_map(rows: Sequence[StabilityRow], folder: Path) -> None:
+    """Draw a cell for each method and step, divided by the shares of accurate, inaccurate and diverged runs."""
+    shown = mapped_rows(rows)
+    steps, names = sorted({row.step for row in shown}), methods_of(shown)[::-1]
+    figure, ((axes,),) = new_chart((7.6, 5.2))
+    axes.grid(visible=False)
+    for i, name in enumerate(names):
+        for k, step in enumerate(steps):
+            verdicts = [row.verdict for row in select(shown, method=name, step=step)]
+            left = float(k)
+            for verdict, (colour, _) in SHARES.items():
+                width = 0.92 * verdicts.count(verdict) / max(len(verdicts), 1)
+                axes.barh(i, width, 0.8, left, color=colour)
+                left += width
+    axes.set_xticks(0.46 + np.arange(len(steps)), [f"{1e3 * step:.2g}" for step in steps])
+    axes.set_yticks(range(len(names)), [f"{name} (default)" if name == DEFAULT_METHOD else name for name in names])
+    axes.tick_params(labelsize=8, length=0)
+    axes.set_xlabel("step (ms)")
+    axes.spines[["left", "bottom"]].set_visible(False)
+    patches = [axes.barh(0, 0, color=colour, label=label) for colour, label in SHARES.values()]
+    figure.legend(handles=patches, loc="outside lower center", ncols=3, frameon=False, fontsize=9, labelcolor=SLATE)
+    save_figure(figure, folder / MAP)
 
 
 def _tick(study: str, value: float) -> str:

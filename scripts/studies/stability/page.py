@@ -9,7 +9,7 @@ from flexman_gym.simulation.methods import DEFAULT_METHOD, METHODS, IteratedGaus
 from flexman_gym.simulation.stability import amplitude_range
 from studies.methods import largest_growth, methods_of
 from studies.screen import picture, screen
-from studies.stability.charts import PICTURE
+from studies.stability.charts import MAP, PICTURE, mapped_rows
 from studies.stability.measure import (
     DIVERGED,
     LIMIT_TOLERANCE,
@@ -27,6 +27,7 @@ ROTORS = f"{DAMPING} 1"  # study of the arm with rotors of 1 kg m^2
 
 SHOWN = ("ros2", "generalised_alpha", "extrapolated_euler_3", "midpoint_corrected_3", "implicit_midpoint", "gauss_3")
 STEPS = (0.001, 0.005, 0.02)  # s; steps of the table
+MAP_MESSAGE = "Shares of runs that are accurate, less accurate or diverged, for each method and step"
 MESSAGE = "Stiffer joints and more modes shorten the stable step, a payload does not"
 QUESTION = "How long may the step of a method be, and how much does the method damp a vibration?"
 ANSWER = """**The highest natural frequency of the model predicts the longest stable step of an explicit method:
@@ -47,7 +48,12 @@ The amplitude is the root mean square over a second. Under `{default}` it oscill
 Without stiffening a spinning link diverges above {spin:.2f} rad/s with any method, as theory predicts; with
 stiffening {sound} of {all} runs at the smallest step are accurate to 1 mm.
 
-The rows also have maps, long runs and all modes."""
+{map}
+
+Each cell of the map has {mapped} runs of the paper's arm for a method and a step, over spring stiffness, number of
+modes, payload and spin (fewer at the two shortest steps). {failed}
+
+The rows also have long runs and all modes."""
 
 
 def summary(rows: Sequence[StabilityRow]) -> str:
@@ -76,9 +82,25 @@ def page(rows: Sequence[StabilityRow], files: Mapping[str, str]) -> str:
         last=1e3 * springs[-1].value, two=modes[2.0], full=modes[max(modes)], table="\n".join(_table(rows)),
         growth=100 * (largest_growth(METHODS["extrapolated_euler_3"])[0] - 1),
         default=DEFAULT_METHOD, low=100 * low, high=100 * high,
+        map=picture(MAP_MESSAGE, MAP), mapped=_largest_cell(rows), failed=_failures(rows),
         spin=select(rows, quantity=SPIN_LIMIT)[0].value, sound=len(select(fine, verdict=OK)), all=len(fine),
     )  # fmt: skip
     return screen("Stability and numerical damping", QUESTION, answer, body, files, "stability")
+
+
+def _largest_cell(rows: Sequence[StabilityRow]) -> int:
+    """Return the number of runs of the largest cell of the map."""
+    return max(Counter((row.method, row.step) for row in mapped_rows(rows)).values())
+
+
+def _failures(rows: Sequence[StabilityRow]) -> str:
+    """Return a sentence on the runs of the default method on the map that diverge."""
+    mine = select(mapped_rows(rows), method=DEFAULT_METHOD)
+    diverged = Counter(row.step for row in mine if row.verdict == DIVERGED)
+    if not diverged:
+        return f"None of the {len(mine)} runs of `{DEFAULT_METHOD}` diverges."
+    steps = " and ".join(f"{1e3 * step:.3g} ms" for step in sorted(diverged))
+    return f"Diverged runs of `{DEFAULT_METHOD}`: {diverged.total()} of {len(mine)}, at steps of {steps}."
 
 
 def amplitude_bounds(rows: Sequence[StabilityRow], step: float, mode: float = 2.0) -> tuple[float, float]:
