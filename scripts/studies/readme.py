@@ -20,14 +20,18 @@ from flexman_gym.model.vibration import modes
 from flexman_gym.scene import catalog
 from flexman_gym.toolbox.league.certificate_file import exceeded_limits
 from flexman_gym.toolbox.league.standings import Standings
+from flexman_gym.toolbox.precision.charts import cheapest_equal
+from flexman_gym.toolbox.precision.runs import PrecisionRow
 from flexman_gym.toolbox.verification.table import FAIL, PASS, VerificationRow
 from studies.benchmark.measure import BenchmarkRow
+from studies.control.cases import ControlRow
 from studies.environments.family import FAMILIES
 from studies.environments.measure import LONG_NAME, Baseline
 from studies.files import read_comment, read_rows, split_waiting
 from studies.learning.measure import LearningRow
 from studies.machine.measure import CURRENT, FitRow
 from studies.markdown import number_word
+from studies.peers.measure import PAPER
 from studies.results import Results
 from studies.safety.measure import SafetyRow
 from studies.starts.measure import COLD, WHEEL, StartRow
@@ -153,6 +157,16 @@ class Sources:
     def benchmark(self) -> list[BenchmarkRow]:
         """Computing times."""
         return self.rows("benchmark.csv", BenchmarkRow)
+
+    @cached_property
+    def control(self) -> list[ControlRow]:
+        """Results of controllers of uncertain arms."""
+        return self.rows("control.csv", ControlRow)
+
+    @cached_property
+    def peers(self) -> list[PrecisionRow]:
+        """Errors and costs of our methods and of other simulators."""
+        return self.rows("peers.csv", PrecisionRow)
 
     @cached_property
     def machine(self) -> list[FitRow]:
@@ -292,15 +306,29 @@ def _second_hub(sources: Sources) -> tuple[str]:
     return (f"{row.value:.2f}",)
 
 
+def _random_arms(sources: Sources) -> tuple[str, str, str]:
+    """Return the number of random arms, the settled share of `adaptive-lqr` (%), and the arms with at least 90 %."""
+    shares = [row.settled for row in sources.control if row.case.startswith("adaptive-lqr, random arm ")]
+    return str(len(shares)), f"{100.0 * np.mean(shares):.0f}", str(sum(share >= 0.9 for share in shares))
+
+
+def _unmodelled_friction(sources: Sources) -> tuple[str]:
+    """Return the settled share of `adaptive-lqr` with friction that is in no model, %."""
+    (row,) = (row for row in sources.control if row.case == "adaptive-lqr, unmodelled friction")
+    return (f"{100.0 * row.settled:.0f}",)
+
+
+def _default_cost(sources: Sources) -> tuple[str, str, str]:
+    """Return error, mm, and cost, ms per s, of the default with the paper's arm, and that of the next simulator / it."""
+    rows = [row for row in sources.peers if row.scene == PAPER]
+    equal = cheapest_equal(rows)
+    assert equal is not None and rows[0].total_error is not None
+    return f"{1e3 * rows[0].total_error:.2g}", f"{1e3 * rows[0].cpu:.2g}", f"{equal.cpu / rows[0].cpu:.2g}"
+
+
 def _exceeded(sources: Sources) -> tuple[str, str]:
     """Return the number of shipped policies that exceed a limit of their certificates, and that of all."""
     return str(sum(bool(exceeded_limits(name)) for name in POLICIES)), str(len(POLICIES))
-
-
-def _in_mujoco(sources: Sources) -> tuple[str, str]:
-    """Return the numbers of settled and of all episodes of the policy `lab-flexrrr` with the known arm in MuJoCo."""
-    times = [*sources.standings.values("lab-flexrrr", f"{DEFAULT_ID}@mujoco", "settling_time").values()]
-    return str(np.isfinite(times).sum()), str(len(times))
 
 
 def _count_of_environments(sources: Sources) -> tuple[str]:
@@ -330,12 +358,22 @@ SENTENCES = (  # with numbers of stored rows
         r"and (\d+) of (\d+) with all parameters uncertain, by up to ([\d.]+) %",
         _violations,
     ),
-    Sentence(r"the second hub angle is not predicted \(R2 (-[\d.]+)", _second_hub),
+    Sentence(
+        r"with (\d+) random arms and uncertain parameters `adaptive-lqr` settles (\d+) % of the slews, "
+        r"and at least 90 % with (\d+) of the arms",
+        _random_arms,
+    ),
+    Sentence(r"\*\*Friction in no model\*\*: with it (\d+) % of the slews settle", _unmodelled_friction),
+    Sentence(
+        r"errs by ([\d.]+) mm at ([\d.]+) ms of computing time per simulated second; "
+        r"the quickest other simulator as accurate takes ([\d.]+) times as long",
+        _default_cost,
+    ),
+    Sentence(r"the second hub angle of a Quanser arm is not predicted \(R2 (-[\d.]+)", _second_hub),
     Sentence(r"The PD settles after ([\d.]+) s", _pd_settles),
 )
 DEFINITIONS = (  # with numbers of environments, metrics, cases of the verification, certificates and other plants
     Sentence(r"(\d+) of (\d+) exceed one of the limits", _exceeded),
-    Sentence(r"In MuJoCo `lab-flexrrr` settles in (\d+) of (\d+) episodes", _in_mujoco),
     Sentence(r"(\w+) environments, vectorised simulation", _count_of_environments),
     Sentence(
         r"damping ratio of ([\d.]+) %, that of the arm below, the amplitude halves only after (\d+) periods", _halving

@@ -37,6 +37,8 @@ SETTINGS = ROOT / "mkdocs.yml"
 DRAWN = {"README": 40, "control": 12, "machine": 4, "safety": 12, "servos": 12}  # numbers by page
 SENTENCE_FILES = {
     "baselines": "baselines.csv",
+    "control": "control.csv",
+    "peers": "peers.csv",
     "learning": "learning.csv",
     "benchmark": "benchmark.csv",
     "machine": "machine.csv",
