@@ -319,7 +319,7 @@ def _unmodelled_friction(sources: Sources) -> tuple[str]:
 
 
 def _default_cost(sources: Sources) -> tuple[str, str, str]:
-    """Return error, mm, and cost, ms per s, of the default with the paper's arm, and that of the next simulator / it."""
+    """Return error (mm) and cost (ms per s) of the default on the paper's arm, and the relative cost of others."""
     rows = [row for row in sources.peers if row.scene == PAPER]
     equal = cheapest_equal(rows)
     assert equal is not None and rows[0].total_error is not None
