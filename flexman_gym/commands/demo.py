@@ -50,8 +50,9 @@ def _run(options: argparse.Namespace) -> int:
 
 def _draw_cases(trajectories: Mapping[str, fm.Trajectory]) -> None:
     """Draw Figures 6 to 11, and the arm at the time of the largest deflection of its flexible links."""
-    paths = draw.paper_figures(*trajectories.values(), OUTPUT_FOLDER)
-    model, trajectory = scene_model(fm.catalog.paper_scene("fr")), trajectories["fr"]
+    rigid, trajectory, flexible_both = trajectories.values()
+    paths = draw.paper_figures(rigid, trajectory, flexible_both, OUTPUT_FOLDER)
+    model = scene_model(fm.catalog.paper_scene("fr"))
     row = np.linalg.norm(trajectory.deflection, axis=1).argmax()
     draw.write_picture(draw.arm_frame(model, trajectory.states[row], size=(960, 720)), OUTPUT_FOLDER / "arm.png")
     print(f"   Figures 6 to 11 are in {OUTPUT_FOLDER}/, together in {paths[-1]}.")

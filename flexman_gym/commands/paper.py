@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from flexman_gym.simulation.trajectory import Trajectory
 
 METHOD, RTOL = "dop853", 1e-7  # integration method; its relative local error, 1
-AREAS = ("printed", "corrected")  # readings of the area of link 1 in Table 1, see `fm.catalog.paper_rrr`
+AREAS = {"printed": 0.028, "corrected": 0.0028}  # m^2; readings of the area of link 1 in Table 1, see `paper_rrr`
 
 
 def _arguments(parser: argparse.ArgumentParser) -> None:
@@ -45,7 +45,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--area",
         choices=AREAS,
-        default=AREAS[0],
+        default="printed",
         help="area of link 1: as printed in Table 1, or a tenth of it, which is possible (default: %(default)s)",
     )
     parser.add_argument(
@@ -61,12 +61,13 @@ def _run(options: argparse.Namespace) -> int:
     """Simulate, print and write the figures; return 0, or 1 if a simulation fails before its end."""
     trajectories = simulate_cases(options.area, options.method, options.step)
     print_largest(trajectories, options.figure)
-    paths = paper_figures(*trajectories.values(), options.folder, options.figure)
+    rigid, flexible_links, flexible_both = trajectories.values()
+    paths = paper_figures(rigid, flexible_links, flexible_both, options.folder, options.figure)
     print(f"{options.folder}: {', '.join(path.name for path in paths)}; figure_*.csv have the curves")
     return int(any(each.status != "ok" for each in trajectories.values()))
 
 
-def simulate_cases(area: str = AREAS[0], method: str = METHOD, step: float | None = None) -> dict[str, "Trajectory"]:
+def simulate_cases(area: str = "printed", method: str = METHOD, step: float | None = None) -> dict[str, "Trajectory"]:
     """Return the trajectories of the three cases of the paper by name, and print a line for each.
 
     Args:
@@ -78,8 +79,8 @@ def simulate_cases(area: str = AREAS[0], method: str = METHOD, step: float | Non
     from flexman_gym.simulation.scene_simulation import simulate
 
     arm = paper_rrr(area)
-    (other,) = (f"{each}: {paper_rrr(each).links[0].area} m^2" for each in AREAS if each != area)
-    print(f"Arm of the paper, area of link 1 {area}: {arm.links[0].area} m^2 (the other reading is {other})")
+    (other,) = (f"{name}: {value} m^2" for name, value in AREAS.items() if name != area)
+    print(f"Arm of the paper, area of link 1 {area}: {AREAS[area]} m^2 (the other reading is {other})")
     print(f"{'2 s under 400 N m at each joint':<33}{'status':<15}{'computing':>10}{'largest energy residual':>26}")
     trajectories = {}
     for case, name in PAPER_CASES.items():

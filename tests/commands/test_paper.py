@@ -76,5 +76,6 @@ def test_a_wrong_option_is_refused_in_one_line(words, line, tmp_path, monkeypatc
 
 
 def test_the_areas_are_those_of_the_catalog():
+    assert {area: fm.catalog.paper_rrr(area).links[0].area for area in paper.AREAS} == paper.AREAS
     with pytest.raises(ValueError, match=f"give one of {', '.join(paper.AREAS)}$"):
         fm.catalog.paper_rrr("both")
