@@ -37,7 +37,8 @@ def curvature(model: Model, state: Vector, link: int, position: float) -> Array:
 def strain(model: Model, state: Vector, link: int, position: float, y: float = 0.0, z: float = 0.0) -> float:
     """Return the axial strain u' - y v'' - z w'', 1, at a point of a cross-section, as measured by a strain gauge.
 
-    It is the first component of Eq. (16), see `model.beam`. Foreshortening causes no strain, because it preserves the length of the centreline.
+    It is the first component of Eq. (16), see `model.beam`. Foreshortening causes no strain, because it preserves the
+    length of the centreline.
 
     Args:
         model: model of the arm.

@@ -86,8 +86,9 @@ class FrameMotion:
         """Return force (N) and moment (N m) (T, P, 6) of the outboard part of a link on its inboard part, beam frame.
 
         By d'Alembert's principle they equal the inertial and gravity forces of the inboard part minus the reaction at
-        the origin of the link, with the accelerations of points in Eqs. (9) and (10), see `model.beam`. At a lumped mass the cross-section lies on the inboard side of the mass. With
-        foreshortening the stations represent the inboard part.
+        the origin of the link; points have the accelerations in Eqs. (9) and (10), see `model.beam`. At a lumped mass
+        the cross-section lies on the inboard side of the mass. With foreshortening the stations represent the inboard
+        part.
 
         Args:
             link: index of the link, from 0.
