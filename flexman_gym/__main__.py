@@ -18,7 +18,7 @@ COMMAND_GROUPS = {  # group -> commands, in the order of the help
     "start": ("demo", "live", "arm", "check", "compile", "list", "verify"),
     "learn": ("train", "imitate", "search"),
     "evaluate": ("evaluate", "league", "why"),
-    "simulate": ("simulate", "choose", "precision", "draw"),
+    "simulate": ("simulate", "paper", "choose", "precision", "draw"),
     "control": ("optimise", "shape", "drive"),
     "data": ("record", "replay", "export"),
 }

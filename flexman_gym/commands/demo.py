@@ -7,6 +7,7 @@ and four controllers on 100 episodes. The plots are written to the folder out.
 import argparse
 import shutil
 import time
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from flexman_agents.settings import find_recipe
 from flexman_agents.training import train
 from flexman_gym import draw
 from flexman_gym.commands import CommandLine
+from flexman_gym.commands.paper import simulate_cases
 from flexman_gym.evaluation.agents import common_environment, find_agent
 from flexman_gym.evaluation.rollouts import TEST_SEEDS, rollout
 from flexman_gym.evaluation.tables import metrics_table
@@ -24,12 +26,6 @@ from flexman_gym.model.model import scene_model
 from flexman_gym.toolbox.view.trajectories import draw_episodes
 
 OUTPUT_FOLDER = Path("out")
-METHOD, RTOL = "dop853", 1e-7  # integration method; its relative local error, 1
-CASES = {
-    "rr": "rigid links, rigid joints",
-    "fr": "flexible links, rigid joints",
-    "ff": "flexible links, flexible joints",
-}
 RECIPE = "ppo_on_pd_minute"
 
 
@@ -42,7 +38,7 @@ def _run(options: argparse.Namespace) -> int:
     started = time.perf_counter()
     compile_when_needed()  # no single arm is stepped, and the method is another: 11 s less work
     print("1. The paper's scene: 2 s under 400 N m at each joint, by the adaptive reference method.")
-    _draw_cases(_simulate_cases())
+    _draw_cases(simulate_cases())
     print(f"2. Training: the recipe {RECIPE}, PPO on a PD controller of the motors.")
     shutil.rmtree(OUTPUT_FOLDER / "ppo", ignore_errors=True)
     train(find_recipe(RECIPE), OUTPUT_FOLDER / "ppo")
@@ -52,23 +48,11 @@ def _run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _simulate_cases() -> dict[str, fm.Trajectory]:
-    """Return the trajectories of the paper's cases by name, and print a line for each."""
-    print(f"   {'case':<33}{'status':<10}{'computing':>10}{'largest energy residual':>26}")
-    trajectories = {}
-    for case, name in CASES.items():
-        trajectory = fm.simulate(fm.catalog.paper_scene(case), method=METHOD, rtol=RTOL)
-        residual = np.abs(trajectory.energy_residual).max()
-        figures = f"{trajectory.status:<10}{trajectory.wall_seconds:>8.2f} s{residual:>24.1e} J"
-        print(f"   {name:<33}{figures}", flush=True)  # in one piece: messages about kernels come between the rows
-        trajectories[case] = trajectory
-    return trajectories
-
-
-def _draw_cases(trajectories: dict[str, fm.Trajectory]) -> None:
+def _draw_cases(trajectories: Mapping[str, fm.Trajectory]) -> None:
     """Draw Figures 6 to 11, and the arm at the time of the largest deflection of its flexible links."""
-    paths = draw.paper_figures(trajectories["rr"], trajectories["fr"], trajectories["ff"], OUTPUT_FOLDER)
-    model, trajectory = scene_model(fm.catalog.paper_scene("fr")), trajectories["fr"]
+    rigid, trajectory, flexible_both = trajectories.values()
+    paths = draw.paper_figures(rigid, trajectory, flexible_both, OUTPUT_FOLDER)
+    model = scene_model(fm.catalog.paper_scene("fr"))
     row = np.linalg.norm(trajectory.deflection, axis=1).argmax()
     draw.write_picture(draw.arm_frame(model, trajectory.states[row], size=(960, 720)), OUTPUT_FOLDER / "arm.png")
     print(f"   Figures 6 to 11 are in {OUTPUT_FOLDER}/, together in {paths[-1]}.")

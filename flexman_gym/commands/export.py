@@ -1,4 +1,4 @@
-"""Export a policy as data or ONNX, a controller as C, a linear model for MATLAB, or an arm as MJCF or URDF."""
+"""Export policies (ONNX), controllers (C), models (MATLAB) and arms."""
 
 import argparse
 import re

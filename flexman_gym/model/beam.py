@@ -304,6 +304,8 @@ def build_beam(link: Link | NonUniformLink, elements: int, flexible: bool = True
 def element_stiffness(section: Link, length: float) -> Array:
     """Return the stiffness matrix (12, 12) of an element: axial, St Venant torsion, and bending in two planes.
 
+    It is the integral in Eq. (18) over the volume of the element.
+
     Args:
         section: uniform link section that contains the element.
         length: length of the element, m.

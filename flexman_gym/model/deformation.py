@@ -37,7 +37,8 @@ def curvature(model: Model, state: Vector, link: int, position: float) -> Array:
 def strain(model: Model, state: Vector, link: int, position: float, y: float = 0.0, z: float = 0.0) -> float:
     """Return the axial strain u' - y v'' - z w'', 1, at a point of a cross-section, as measured by a strain gauge.
 
-    Foreshortening causes no strain, because it preserves the length of the centreline.
+    It is the first component of Eq. (16), see `model.beam`. Foreshortening causes no strain, because it preserves the
+    length of the centreline.
 
     Args:
         model: model of the arm.
@@ -161,8 +162,9 @@ class _LinkShapes(NamedTuple):
 def curves(model: Model, states: Vector, points: int, gain: float = 1.0, joint_gain: float | None = None) -> Curves:
     """Return the centrelines of all links at equally spaced points, for any number of states.
 
-    A cross-section is rotated relative to the beam frame of its link by the rotation vector (phi, -w', v'), as the tip
-    in Eq. (26), see `model.beam`. Foreshortening displaces a point by the exact integral of (v'^2 + w'^2) / 2. The last
+    A point of a link is at R + A (u + S q), Eqs. (1) and (2), see `model.beam`, with the origin R and the rotation A of
+    the beam frame. A cross-section is rotated relative to this frame by the rotation vector (phi, -w', v'), as the tip
+    in Eq. (26). Foreshortening displaces a point by the exact integral of (v'^2 + w'^2) / 2. The last
     point is the tip of the link.
 
     Args:

@@ -63,7 +63,7 @@ class Element(NamedTuple):
         """Return the displacement (3, 12) of a point of the element per unit of its twelve node coordinates.
 
         The displacement is [u - y v' - z w', v - z phi, w + y phi], with cubic Hermite polynomials for v and w and
-        linear u and phi.
+        linear u and phi: the matrix S in Eq. (3), see `model.beam`.
 
         Args:
             xi: relative position along the element, from 0 to 1.

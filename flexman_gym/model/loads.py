@@ -86,8 +86,9 @@ class FrameMotion:
         """Return force (N) and moment (N m) (T, P, 6) of the outboard part of a link on its inboard part, beam frame.
 
         By d'Alembert's principle they equal the inertial and gravity forces of the inboard part minus the reaction at
-        the origin of the link. At a lumped mass the cross-section lies on the inboard side of the mass. With
-        foreshortening the stations represent the inboard part.
+        the origin of the link; points have the accelerations in Eqs. (9) and (10), see `model.beam`. At a lumped mass
+        the cross-section lies on the inboard side of the mass. With foreshortening the stations represent the inboard
+        part.
 
         Args:
             link: index of the link, from 0.
@@ -115,7 +116,7 @@ class FrameMotion:
     def part_energies(self) -> dict[str, Array]:
         """Return the energies of each link and joint, (T, n), and of the payload, (T, 1), J, by name.
 
-        Their sum is the total energy of the arm.
+        Their sum is the total energy of the arm. Points have the velocity in Eq. (4), see `model.beam`.
         """
         model, states = self.model, self.states
         n, d, constants = model.n_joints, model.n_dof, model.constants

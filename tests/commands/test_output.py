@@ -10,6 +10,9 @@ import pytest
 import flexman_gym as fm
 from flexman_gym.__main__ import CLOSED_PIPE, main
 from flexman_gym.commands import list as list_command
+from flexman_gym.commands.paper import simulate_cases
+from flexman_gym.simulation import scene_simulation
+from flexman_gym.toolbox.view.paper import PAPER_CASES
 
 from oracles.files import ROOT
 
@@ -57,20 +60,17 @@ def test_no_command_prints_a_part_of_a_line():
 
 
 @pytest.mark.slow
-def test_rows_of_the_demonstration_are_whole_between_messages(monkeypatch, capfd):
+def test_rows_of_simulated_cases_are_whole_between_messages(monkeypatch, capfd):
     """Each simulation writes a message, as the first one does for the kernels that it compiles."""
-    pytest.importorskip("stable_baselines3")
-    from flexman_gym.commands import demo
-
     trajectory = fm.simulate(fm.catalog.paper_scene("rr"))
 
     def simulate(*_, **__):
         os.write(sys.__stdout__.fileno(), b"  kernel: about 3 s left\n")
         return trajectory
 
-    monkeypatch.setattr(demo.fm, "simulate", simulate)
-    demo._simulate_cases()
-    lines = capfd.readouterr().out.splitlines()[1:]
+    monkeypatch.setattr(scene_simulation, "simulate", simulate)
+    simulate_cases()
+    lines = capfd.readouterr().out.splitlines()[2:]
     assert lines[::2] == ["  kernel: about 3 s left"] * 3
-    assert [line[3:36].strip() for line in lines[1::2]] == list(demo.CASES.values())
+    assert [line[:33].strip() for line in lines[1::2]] == list(PAPER_CASES.values())
     assert all(line.endswith(" J") for line in lines[1::2])

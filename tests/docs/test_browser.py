@@ -66,6 +66,11 @@ WANTED = {  # words -> pages, of which one is among the first two hits
     "noise": {"own_task.html#sensor-noise-and-other-errors"},
     "friction": {"own_arm.html#friction-backlash-and-torque-ripple", "control_room.html#friction-in-the-loop"},
     "foreshortening": {"theory.html#foreshortening"},
+    "reproduce the paper": {"the_paper.html#reproduce-the-paper-figures-6-to-11"},
+    "figure 6": {
+        "the_paper.html#reproduce-the-paper-figures-6-to-11", "the_paper.html#figures-6-to-11-beside-the-printed-ones",
+    },
+    "equation 23": {"the_paper.html#equations-22-and-23-a-flexible-joint"},
 }  # fmt: skip
 
 

@@ -1,7 +1,4 @@
-"""Plots of motions over time: a simulation, episodes of agents, and Figures 6 to 11 of the paper.
-
-The paper is "Dynamic modeling and simulation of spatial manipulator with flexible links and joints".
-"""
+"""Plots of motions over time: a simulation, and episodes of agents."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -10,8 +7,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from flexman_gym.common.arrays import Array
-from flexman_gym.common.errors import value_error
-from flexman_gym.common.plot_style import BLUE, DARK, LIGHT, LINK_COLOURS, MIDDLE, RED, new_figure, save_figure
+from flexman_gym.common.plot_style import DARK, LIGHT, LINK_COLOURS, MIDDLE, new_figure, save_figure
 from flexman_gym.simulation.trajectory import Trajectory
 
 
@@ -86,83 +82,6 @@ def _plain(axes: Any, time: Array) -> None:
     axes.grid(color=LIGHT, linewidth=0.6)
     axes.spines[["top", "right"]].set_visible(False)
     axes.ticklabel_format(axis="y", scilimits=(-3, 4), useMathText=True)
-
-
-def paper_figures(
-    rigid: Trajectory, flexible_links: Trajectory, flexible_both: Trajectory, folder: str | Path
-) -> list[Path]:
-    """Plot Figures 6 to 11 of the paper, each as a PNG, and all in `paper_figures.png`; return the paths of the files.
-
-    A simulation that ended early is plotted up to its end, with its status in the legend.
-
-    Args:
-        rigid: simulation of the case "rr" of the paper: rigid links and joints.
-        flexible_links: simulation of the case "fr", at the same output times.
-        flexible_both: simulation of the case "ff", at the same output times.
-        folder: folder of the files; it is created if it does not exist.
-
-    Raises:
-        ImportError: without Matplotlib.
-        ValueError: for different output times, and for arms with a number of joints other than 3.
-    """
-    cases = {"flexible links, rigid joints": flexible_links, "flexible links and joints": flexible_both}
-    for name, trajectory in (("flexible_links", flexible_links), ("flexible_both", flexible_both)):
-        rows = min(len(rigid.time), len(trajectory.time))
-        if not np.allclose(trajectory.time[:rows], rigid.time[:rows], rtol=0.0, atol=1e-9):
-            raise value_error(f"{name}.time", trajectory.time[:3], "the output times of the rigid case")
-        joints = rigid.joint_angles.shape[1], trajectory.joint_angles.shape[1]
-        if joints != (3, 3):
-            raise value_error(f"{name}.joint_angles", joints, "3 joints, in the rigid case and in this one")
-    folder = Path(folder)
-    folder.mkdir(parents=True, exist_ok=True)
-    paths = [folder / f"figure_{number:02d}.png" for number in range(6, 12)]
-    for column, path in enumerate(paths):
-        figure = new_figure((6.4, 4.0), 120.0, layout="constrained")
-        axes = figure.add_subplot()
-        _difference(axes, column, rigid, cases)
-        axes.set_title(f"{axes.get_title()}, under 400 N m at every joint")
-        axes.set(xlabel="time (s)", ylabel=f"difference to the rigid arm ({_unit(column)})")
-        figure.legend(*axes.get_legend_handles_labels(), loc="outside upper center", ncols=2, frameon=False)
-        save_figure(figure, path)
-    return [*paths, _all_figures(rigid, cases, folder / "paper_figures.png")]
-
-
-def _all_figures(rigid: Trajectory, cases: dict[str, Trajectory], path: Path) -> Path:
-    figure = new_figure((10.5, 6.0), 120.0, layout="constrained")
-    grid = figure.subplots(2, 3, sharex=True, sharey="row")
-    for column, axes in enumerate(grid.flat):
-        _difference(axes, column, rigid, cases)
-    for row in range(2):
-        grid[row, 0].set_ylabel(f"difference to the rigid arm ({_unit(3 * row)})")
-    for axes in grid[1]:
-        axes.set_xlabel("time (s)")
-    figure.suptitle("Difference between the flexible and the rigid arm under 400 N m at every joint", fontsize=13)
-    figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=2, frameon=False, fontsize=11)
-    save_figure(figure, path)
-    return path
-
-
-def _difference(axes: Any, column: int, rigid: Trajectory, cases: dict[str, Trajectory]) -> None:
-    """Plot the difference between each case and the rigid arm: tip x, y, z (columns 0 to 2), joint angles (3 to 5)."""
-    axes.axhline(0.0, color=MIDDLE, linewidth=0.8)
-    for (label, case), colour, style in zip(cases.items(), (BLUE, RED), ("-", "--"), strict=True):
-        rows = min(len(rigid.time), len(case.time))
-        ended = "" if case.status == "ok" else f" ({case.status} after {case.time[-1]:g} s)"
-        difference = _column(case, column)[:rows] - _column(rigid, column)[:rows]
-        axes.plot(case.time[:rows], difference, style, color=colour, linewidth=1.6, label=label + ended)
-    name = f"tip, {'xyz'[column]}" if column < 3 else rf"joint angle $\theta_{column - 2}$"
-    axes.set_title(f"Figure {6 + column}: {name}", fontsize=11)
-    axes.set_xlim(rigid.time[0], rigid.time[-1])
-    axes.grid(color=LIGHT, linewidth=0.6)
-    axes.spines[["top", "right"]].set_visible(False)
-
-
-def _column(trajectory: Trajectory, column: int) -> Array:
-    return np.hstack([trajectory.tip, trajectory.joint_angles])[:, column]
-
-
-def _unit(column: int) -> str:
-    return "m" if column < 3 else "rad"
 
 
 COLOURS = LINK_COLOURS  # colours of the agents

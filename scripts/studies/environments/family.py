@@ -63,9 +63,9 @@ FAMILIES = (
     Family(
         "FlexRRR",
         "FlexRRR: a spatial arm with three joints",
-        "An arm after Table 1 of the paper moves in space. All links and joints are flexible, and its reach is 8.5 m. "
-        "Three environments have no gravity. In the fourth the arm carries a payload on earth, with stiffer joints and "
-        "stronger motors.",
+        "An arm after Table 1 of [the paper](../the_paper.md) moves in space. All links and joints are flexible, and "
+        "its reach is 8.5 m. Three environments have no gravity. In the fourth the arm carries a payload on earth, "
+        "with stiffer joints and stronger motors.",
         ("FlexRRR-v0", "FlexRRR-Track-v0", "FlexRRR-Hold-v0", "FlexRRR-Gravity-v0"),
     ),
     Family(
