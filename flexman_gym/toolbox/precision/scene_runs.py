@@ -147,5 +147,5 @@ def peer_timers(result: PrecisionScene) -> tuple[list[Timer], list[str]]:
         except ModuleNotFoundError:
             lines.append(f"{name} is not installed, so it is left out: pip install 'flexman_gym[peers]'")
         except ValueError as error:
-            lines.append(f"{name} is left out: {error}")
+            lines.append(f"{name} is left out: {str(error).splitlines()[0]}")
     return timers, lines

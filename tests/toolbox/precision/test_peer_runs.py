@@ -40,6 +40,20 @@ def test_rigid_arms_under_any_torques_move_as_ours(name, scene):
     assert errors[0] < 1e-5 and errors[1] < 0.3 * errors[0], "order two: torques of the middle of a step"
 
 
+@pytest.mark.parametrize("name", ["loader_crane", "gantry"])
+def test_mujoco_swings_passive_joints_as_we_do(name):
+    pytest.importorskip("mujoco")
+    arm = getattr(fm.catalog, name)()
+    n, links = arm.n_joints, fm.ModelChoice(tuple(link.flexible for link in arm.links), (2,) * arm.n_joints)
+    torque = fm.ConstantTorque([0.0 if joint.passive else 50.0 for joint in arm.joints])
+    scene = fm.Scene(arm, links, torque, fm.Initial((0.1,) * n, (0.0,) * n), 0.5, 0.01)
+    rigid = fm.build_model(arm, flexible_links=False, flexible_joints=False)
+    expected = fm.simulate(scene, rigid, "dop853", rtol=1e-9).tip
+    peer = importlib.import_module(f"{PACKAGE}.mujoco")
+    assert any(joint.passive for joint in arm.joints)
+    assert peer.run(with_rigid_joints(scene), 0, "RK4", 1e-3).distance(expected) < 1e-5
+
+
 def test_pinocchio_refuses_an_arm_that_it_lacks_a_part_of(scene):
     pytest.importorskip("pinocchio")
     peer = importlib.import_module(f"{PACKAGE}.pinocchio")

@@ -57,6 +57,7 @@ def advance(scene: Scene, name: str, integrator: str, step: float, text: str) ->
     for i, (angle, rate) in enumerate(zip(scene.initial.joint_angles, scene.initial.joint_rates, strict=True)):
         motor = model.joint(f"motor {i}")
         data.qpos[motor.qposadr], data.qvel[motor.dofadr] = angle, rate
+    driven = [not joint.passive for joint in scene.arm.joints]  # a passive joint has no actuator
     constant = isinstance(scene.torque, ConstantTorque)
     rows, substeps = output_count(scene, step)
     mujoco.set_mju_user_warning(lambda message: None)  # else it writes a file about every divergence
@@ -66,7 +67,7 @@ def advance(scene: Scene, name: str, integrator: str, step: float, text: str) ->
     started = time.process_time(), time.perf_counter()
     for i in range(1, rows + 1):
         for k in range(1 if constant else substeps):
-            data.ctrl[:] = scene.torque.at((i - 1) * scene.output_step + (k + 0.5) * step)
+            data.ctrl[:] = scene.torque.at((i - 1) * scene.output_step + (k + 0.5) * step)[driven]
             mujoco.mj_step(model, data, substeps if constant else 1)
         mujoco.mj_kinematics(model, data)  # positions after a step are those of its start
         tip[i] = data.site_xpos[0]

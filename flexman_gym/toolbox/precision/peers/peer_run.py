@@ -86,7 +86,7 @@ def output_count(scene: Scene, step: float) -> tuple[int, int]:
 
 
 def with_rigid_joints(scene: Scene) -> Scene:
-    """Return the scene with rigid joints: motors drive the links directly."""
-    joints = [replace(joint, stiffness=None, damping=0.0) for joint in scene.arm.joints]
+    """Return the scene with motors that drive the links directly; passive joints keep their springs."""
+    joints = [joint if joint.passive else replace(joint, stiffness=None, damping=0.0) for joint in scene.arm.joints]
     model = replace(scene.model, flexible_joints=False)
     return replace(scene, arm=replace(scene.arm, joints=joints), model=model)
