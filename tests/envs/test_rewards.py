@@ -64,6 +64,27 @@ def test_the_sum_of_terms_rounds_for_one_arm_as_for_many():
     assert one.step(ACTIONS[0])[1] == two.step(ACTIONS[:2])[1][0] == 0.0
 
 
+def test_the_name_of_a_reward_is_that_of_the_task():
+    """The same numbers as with the task that has it, in files and after another change too."""
+    named, given = Configuration("FlexRRR-v0", {"reward": "distance"}), {"task": Slew(reward="distance")}
+    assert named == Configuration("FlexRRR-v0", given) and named.task.reward == "distance"
+    assert Configuration.from_plain(named.to_plain()).replace(horizon=1.0).task == named.task
+    envs = [FlexManEnv(reward="distance"), FlexManEnv(task={"kind": "slew", "reward": "distance"})]
+    assert len({env.reset(seed=3) and env.step(ACTIONS[0])[1] for env in envs}) == 1
+    assert list(envs[0].step(ACTIONS[0])[4]["reward_terms"]) == ["distance", "failure"]
+    assert FlexManEnv(reward="exponential", task=Slew(slew=0.1)).configuration.task == Slew(
+        slew=0.1, reward="exponential"
+    )
+    assert Configuration("FlexRRR-Track-v0", {"reward": "distance"}) == Configuration("FlexRRR-Track-v0")
+
+
+def test_the_name_of_no_reward_of_the_task_is_refused():
+    line = refusal(lambda: FlexManEnv(reward="distanc"))
+    assert line.startswith("reward: 'distanc' is not allowed; give bells, distance, exponential, a mapping of weights")
+    line = refusal(lambda: Configuration("FlexRRR-Hold-v0", {"reward": "bells"}))
+    assert line.startswith("reward: 'bells' is not allowed; give distance, a mapping of weights")
+
+
 def test_a_weight_of_no_term_is_refused_at_the_first_step():
     env = FlexManEnv(reward={"distance": 1.0})
     line = refusal(env.reset)

@@ -23,7 +23,7 @@ from flexman_gym.envs.config.settings import AUTO_SETTINGS, SETTINGS, Environmen
 from flexman_gym.envs.foundation import check_foundation
 from flexman_gym.envs.limits import Limits
 from flexman_gym.envs.registration import NOMINAL
-from flexman_gym.envs.tasks import Slew
+from flexman_gym.envs.tasks import Slew, with_named_reward
 from flexman_gym.model.state_space import first_order_lag
 from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.input_checks import warn_unusual_units
@@ -58,7 +58,7 @@ class Configuration(EnvironmentSettings):
         named, given = NAMED_ENVIRONMENTS[one_of("id", id, NAMED_ENVIRONMENTS)], dict(settings or {})
         if given.pop("condition", NOMINAL) != NOMINAL:
             given = _with_condition(id, settings["condition"], given, folder)  # type: ignore[index]
-        given = _checked_mapping(given)
+        given = with_named_reward(_checked_mapping(given), named.task)
         _refuse_unknown(given)
         if isinstance(given.get("limits"), str):
             known = [name for name, each in NAMED_ENVIRONMENTS.items() if each.study]

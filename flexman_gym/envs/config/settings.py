@@ -150,8 +150,9 @@ class EnvironmentSettings:
         find_task, named=True, plain=plain_task,
     )
     reward: Any = _setting(
-        "Weights of the reward terms, or a reward function. A mapping from terms of the task to factors (1 for a term "
-        "without an entry), or a function of a View that returns the reward (b,) and includes failures (view.failed).",
+        "Name of a reward of the task (slews: 'bells', 'distance', which trains better, 'exponential'), weights of its "
+        "terms, or a reward function. Weights are a mapping from terms to factors (1 for a term without an entry); a "
+        "function of a View returns the reward (b,) and includes failures (view.failed).",
         _reward_setting,
     )
     sensors: tuple[object, ...] = _setting(
