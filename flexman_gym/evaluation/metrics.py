@@ -6,12 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from flexman_gym.agent.controller import Controller
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.checks import one_of
 from flexman_gym.common.registry import Registry
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.evaluation.agent_spec import AgentSpec
 from flexman_gym.evaluation.rollouts import EpisodeRecord, rollout
 from flexman_gym.metrics import (
     effort,
@@ -131,7 +129,7 @@ def limit_metrics(record: EpisodeRecord) -> tuple[Metric, ...]:
 
 
 def evaluate(
-    agent: str | AgentSpec | Controller,
+    agent: object,
     environment: str | Configuration,
     seeds: Sequence[int] | int,
     safety: bool = False,

@@ -11,7 +11,6 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from flexman_gym.agent.controller import Controller
 from flexman_gym.common.arrays import Array, IntArray
 from flexman_gym.common.checks import whole_number
 from flexman_gym.common.errors import value_error
@@ -190,7 +189,7 @@ def save_rollouts(results: Sequence[Rollout], folder: Path) -> list[Path]:
 
 
 def rollout(
-    agent: str | AgentSpec | Controller,
+    agent: object,
     environment: str | Configuration,
     seeds: Sequence[int] | int,
     callback: Callable[[Episodes], None] | None = None,
@@ -254,7 +253,7 @@ class RolloutLoop:
 
     def __init__(
         self,
-        agent: str | AgentSpec | Controller,
+        agent: object,
         environment: str | Configuration,
         seeds: Sequence[int] | int,
         callback: Callable[[Episodes], None] | None = None,
