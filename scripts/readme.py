@@ -3,7 +3,9 @@
 import argparse
 from pathlib import Path
 
-from studies.readme import Sources, readme, updated
+from studies.readme import readme
+from studies.sentences import updated
+from studies.sources import Sources
 
 ROOT = Path(__file__).parents[1]
 

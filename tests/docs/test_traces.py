@@ -23,12 +23,14 @@ from studies.control.page import page as control_page
 from studies.files import read_comments
 from studies.machine.measure import FitRow
 from studies.machine.page import page as machine_page
-from studies.readme import DEFINITIONS, SENTENCES, UNKNOWN, Sources, badges, readme, results, updated
+from studies.readme import UNKNOWN, badges, readme, results
 from studies.results import Results
 from studies.safety.measure import SafetyRow
 from studies.safety.page import cells as safety_cells
+from studies.sentences import DEFINITIONS, SENTENCES, updated
 from studies.servos.measure import FrictionRow, ServoRow
 from studies.servos.page import page as servos_page
+from studies.sources import Sources
 
 from oracles.files import ROOT
 
