@@ -6,7 +6,7 @@ from pathlib import Path
 
 from flexman_gym.common.computer import computer_text
 from flexman_gym.common.parallel import Workers, parallel_map_unordered
-from studies.files import folder, read_comments, read_rows, write_rows
+from studies.files import folder, made_comment, read_comments, read_rows, today, write_rows
 from studies.planted.measure import CAUGHT, CHECKOUT, PARTS, SURVIVED, Planted, kept, misplaced, planted
 from studies.planted.page import counts, page
 
@@ -39,7 +39,7 @@ def main() -> int:
         rows[row.part, row.error] = row
         result = [rows[change.part, change.error] for every in PARTS.values() for change in every
                  if (change.part, change.error) in rows]  # fmt: skip
-        write_rows(result, file, 2, computer_text())
+        write_rows(result, file, 2, made_comment(computer_text(), today(), len(result)))
         _write_page(file)
     if not chosen:
         print("no error matches the options")

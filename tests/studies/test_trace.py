@@ -1,0 +1,287 @@
+"""Tests of the dependencies of a run: what it used in all processes, kernels, constants and files, and nothing else."""
+
+import subprocess
+import sys
+import time
+
+import pytest
+
+from studies.dependencies import Name, Sources, hash_of
+from studies.trace import Dependencies, read_record, run_traced
+
+FILES = {
+    "own/__init__.py": "",
+    "own/kernels.py": '''"""Kernels."""
+
+from numba import njit
+
+kernel = njit(error_model="numpy")
+SCALE = 2.0  # of nothing
+OFFSET = SCALE + 1.0
+UNUSED = 3.0
+
+
+@kernel
+def inner(x):
+    """Return x, scaled."""
+    return SCALE * x
+
+
+@kernel
+def outer(x):
+    return inner(x) + OFFSET
+
+
+@kernel
+def other(x):
+    return UNUSED * x
+''',
+    "own/work.py": '''import os
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+from own import kernels
+from own.table import TABLE
+
+HERE = Path(__file__).parent
+
+
+class Settings:
+    gain = 4.0
+
+    def __init__(self):
+        data = yaml.safe_load((HERE / "settings.yaml").read_text())
+        self.factor = data["factor"]
+
+    def product(self, x):
+        # a comment
+        return self.gain * self.factor * x
+
+    def idle(self):
+        return 0.0
+
+
+def last(x):
+    return x
+
+
+def task(x):
+    """Return a number."""
+    weights = np.load(HERE / "policy.npz")["weights"]
+    return float(Settings().product(kernels.outer(x)) + weights.sum() + TABLE["one"])
+
+
+def end(x):
+    last(x)
+    os._exit(0)
+
+
+def idle():
+    return 0.0
+''',
+    "own/table.py": '''def made(number):
+    return number + 0.0
+
+
+def checked(number):
+    return number
+
+
+TABLE = {"one": made(1.0)}
+CHECKED = checked(1.0)
+PLACES = {"first": "own.plugin:FIRST", "second": "own.unloaded:SECOND"}
+''',
+    "own/plugin.py": "FIRST = 5.0\nNEVER = 6.0\n",
+    "own/unloaded.py": "SECOND = 7.0\n",
+    "own/threads.py": "def threaded():\n    return 1\n",
+    "own/drawing.py": "def page():\n    return 1\n",
+    "own/settings.yaml": "factor: 2.0  # a comment\n",
+    "own/unread.yaml": "factor: 2.0\n",
+    "scripts/studies/study.py": '''from own.drawing import page
+
+
+class Study:
+    def draw(self):
+        return page()
+''',
+    "program.py": '''import sys
+from importlib import import_module
+from multiprocessing import get_context
+from threading import Thread
+
+sys.path.insert(0, "scripts/studies")
+
+
+def main():
+    from flexman_gym.common.parallel import parallel_map
+    from own.table import PLACES
+    from own.threads import threaded
+    from own.work import end, task
+    from study import Study
+
+    place, name = PLACES["first"].split(":")
+    print(getattr(import_module(place), name) + sum(parallel_map(task, [1.0, 2.0], 2)))
+    Thread(target=threaded).start()
+    process = get_context("fork").Process(target=end, args=(1,))
+    process.start()
+    process.join()
+    Study().draw()
+    open("rows.csv", "w").write("row")
+
+
+if __name__ == "__main__":
+    main()
+''',
+}
+
+
+@pytest.fixture(scope="module")
+def checkout(tmp_path_factory):
+    """Return a checkout, and the dependencies of its program with worker processes."""
+    import numpy as np
+
+    root = tmp_path_factory.mktemp("checkout")
+    for path, text in FILES.items():
+        (root / path).parent.mkdir(parents=True, exist_ok=True)
+        (root / path).write_text(text)
+    np.savez(root / "own" / "policy.npz", weights=np.ones(3))
+    np.savez(root / "own" / "second.npz", weights=np.ones(3))
+    sources, start = Sources(root), time.time() + 1.0
+    run_traced(["-m", "program"], root, root / "out" / "trace")
+    return root, read_record(root / "out" / "trace", sources, (), start)
+
+
+CHANGED = [
+    ("own/work.py", "self.gain * self.factor", "self.gain + self.factor", "work.py Settings.product"),  # in a worker
+    ("own/work.py", "gain = 4.0", "gain = 5.0", "work.py Settings"),  # field of a class
+    ("own/work.py", "    return x\n", "    return -x\n", "work.py last"),  # in a process that ends by os._exit
+    ("own/work.py", "Path(__file__).parent", "Path(__file__).absolute().parent", "work.py HERE"),
+    ("own/threads.py", "return 1", "return 2", "threads.py threaded"),
+    ("own/kernels.py", "inner(x) + OFFSET", "inner(x) - OFFSET", "kernels.py outer"),  # kernel called by Python
+    ("own/kernels.py", "SCALE * x", "SCALE / x", "kernels.py inner"),  # kernel called by a kernel
+    ("own/kernels.py", "SCALE = 2.0", "SCALE = 2.5", "kernels.py SCALE"),  # constant of a kernel
+    ("own/kernels.py", "SCALE + 1.0", "SCALE + 2.0", "kernels.py OFFSET"),
+    ("own/kernels.py", '"numpy"', '"python"', "kernels.py kernel"),  # decorator
+    ("own/table.py", "number + 0.0", "number + 1.0", "table.py made"),  # called by the import, for a constant in use
+    ("own/table.py", "made(1.0)", "made(2.0)", "table.py TABLE"),
+    ("own/plugin.py", "5.0", "5.5", "plugin.py FIRST"),  # entry of a table that was loaded
+    ("own/settings.yaml", "2.0", "3.0", "settings.yaml"),
+    ("own/policy.npz", "", "", "policy.npz"),
+]
+UNCHANGED = [
+    ("own/work.py", "def idle():\n    return 0.0", "def idle():\n    return 1.0"),  # function that was not called
+    ("own/work.py", "def idle(self):\n        return 0.0", "def idle(self):\n        return 1.0"),
+    ("own/work.py", '"""Return a number."""', '"""Return another number."""'),
+    ("own/work.py", "# a comment", "# another comment"),
+    ("own/work.py", "self.gain * self.factor * x", "(\n            self.gain * self.factor * x\n        )"),
+    ("own/kernels.py", '"""Return x, scaled."""', ""),
+    ("own/kernels.py", "# of nothing", ""),
+    ("own/kernels.py", "UNUSED * x", "UNUSED / x"),  # kernel that nothing calls, and its constant
+    ("own/kernels.py", "UNUSED = 3.0", "UNUSED = 4.0"),
+    ("own/table.py", "return number\n", "return number + 1\n"),  # called by the import, for a constant of nobody
+    ("own/plugin.py", "6.0", "6.5"),
+    ("own/unloaded.py", "7.0", "7.5"),  # entry of a table that was not loaded
+    ("own/drawing.py", "return 1", "return 2"),  # it decides no rows
+    ("own/settings.yaml", "# a comment", ""),
+    ("own/unread.yaml", "2.0", "3.0"),
+    ("own/second.npz", "", ""),
+]
+
+
+def changes(checkout, file, old, new):
+    """Return what is noticed of a planted change; without an old text a byte is added to the file."""
+    root, known = checkout
+    path = root / file
+    before = path.read_bytes()
+    assert not old or before.decode().count(old) == 1
+    path.write_bytes(before.decode().replace(old, new).encode() if old else before + b"0")
+    try:
+        return known.changes(Sources(root), root)
+    finally:
+        path.write_bytes(before)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("file", "old", "new", "name"), CHANGED)
+def test_a_change_of_what_a_run_used_is_noticed_by_its_name(checkout, file, old, new, name):
+    assert changes(checkout, file, old, new) == [name]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("file", "old", "new"), UNCHANGED)
+def test_a_change_of_anything_else_is_not_noticed(checkout, file, old, new):
+    assert changes(checkout, file, old, new) == []
+
+
+@pytest.mark.slow
+def test_a_file_that_is_gone_or_renamed_is_a_change(checkout):
+    root, known = checkout
+    for name in ("threads.py", "policy.npz"):
+        (root / "own" / name).rename(root / "own" / "moved")
+        assert [each.split()[0] for each in known.changes(Sources(root), root)] == [name]
+        (root / "own" / "moved").rename(root / "own" / name)
+    assert known.changes(Sources(root), root) == []
+
+
+@pytest.mark.slow
+def test_code_in_neutral_files_and_what_it_reads_does_not_count(checkout):
+    root, known = checkout
+    found = read_record(root / "out" / "trace", Sources(root), ("own/work.py", "own/threads.py"), time.time() + 1.0)
+    assert known.definitions.keys() - found.definitions.keys() == {"own/work.py", "own/threads.py", "own/kernels.py"}
+    assert "own/settings.yaml" in known.files and "own/settings.yaml" not in found.files
+
+
+@pytest.mark.slow
+def test_a_file_that_changed_during_the_run_counts_as_changed(checkout):
+    root, _ = checkout
+    found = read_record(root / "out" / "trace", Sources(root), (), 0.0)
+    assert set(found.changes(Sources(root), root)) == {"settings.yaml", "policy.npz"}
+
+
+@pytest.mark.slow
+def test_a_traced_program_prints_the_same_and_fails_as_it_does_alone(checkout, tmp_path, capfd):
+    root, _ = checkout
+    call = [sys.executable, "-m", "program"]
+    alone = subprocess.run(call, cwd=root, capture_output=True, text=True, check=True).stdout
+    run_traced(["-m", "program"], root, tmp_path / "trace")
+    assert capfd.readouterr().out == alone
+    with pytest.raises(subprocess.CalledProcessError):
+        run_traced(["-c", "raise SystemExit(3)"], root, tmp_path / "trace")
+
+
+def test_names_are_found_through_imports_and_attributes(tmp_path):
+    for path, text in {
+        "own/__init__.py": "from own.parts import NUMBER as SAME\n",
+        "own/parts.py": "NUMBER = 1\nOTHER = NUMBER\n\nclass Part:\n    size = NUMBER\n",
+        "use.py": "import own\nimport own.parts as parts\nfrom own.parts import Part\n\n"
+                  "def f(OTHER: Part, x=own.SAME):\n    from own import parts as inside\n    return OTHER, inside.OTHER\n\n"
+                  "def g():\n    return parts.Part.size\n\n"
+                  "def h():\n    own = 1\n    return own\n",
+    }.items():  # fmt: skip
+        (tmp_path / path).parent.mkdir(exist_ok=True)
+        (tmp_path / path).write_text(text)
+    sources = Sources(tmp_path)
+    found = {name: {each.name for each in sources.references(Name("use.py", name))} for name in "fgh"}
+    assert found == {"f": {"NUMBER", "OTHER"}, "g": {"Part"}, "h": set()}
+    assert sources.references(Name("own/parts.py", "Part")) == {Name("own/parts.py", "NUMBER")}
+
+
+def test_a_folder_is_hashed_with_its_names_and_data(tmp_path):
+    (tmp_path / "code").mkdir()
+    (tmp_path / "code" / "double.py").write_text("FACTOR = 2.0\n")
+    first = hash_of(["code"], tmp_path)
+    (tmp_path / "code" / "double.py").write_text("FACTOR = 2.0  # a comment\n")
+    assert hash_of(["code"], tmp_path) == first
+    (tmp_path / "code" / "data.csv").write_text("1\n")
+    assert (second := hash_of(["code"], tmp_path)) != first
+    (tmp_path / "code" / "data.csv").write_text("2\n")
+    assert hash_of(["code"], tmp_path) not in (first, second)
+    (tmp_path / "code" / "data.csv").unlink()
+    (tmp_path / "code" / "double.py").rename(tmp_path / "code" / "twice.py")
+    assert hash_of(["code"], tmp_path) != first
+
+
+def test_nothing_used_never_changes(tmp_path):
+    assert Dependencies().changes(Sources(tmp_path), tmp_path) == []
