@@ -94,7 +94,7 @@ class Checkout:
 
     def __init__(self, root: Path = ROOT, neutral: Sequence[str] | None = None) -> None:
         self.root, self.sources, self.start = root, Sources(root), time.time()
-        self._neutral = files.read_data(STUDIES, dict)["neutral"] if neutral is None else neutral
+        self.neutral = files.read_data(STUDIES, dict)["neutral"] if neutral is None else neutral
 
     @cached_property
     def code(self) -> str:
@@ -184,7 +184,7 @@ class Checkout:
 
     def _dependencies(self, trace: Path, own: Sequence[str], start: float) -> Dependencies:
         """Return the dependencies of a run that started at a time (s), without the files that it wrote itself."""
-        found = read_record(trace, self.sources, self._neutral, start)
+        found = read_record(trace, self.sources, self.neutral, start)
         for path in (path for pattern in own for path in self.root.glob(pattern)):
             found.files.pop(path.relative_to(self.root).as_posix(), None)
         return found

@@ -44,7 +44,7 @@ def screen(title: str, question: str, answer: str, body: str, rows: Mapping[str,
     links = " and ".join(f"[{file}]({file})" for file in rows)
     parts = [split_waiting(comment) for comment in rows.values()]
     made = (split_made(each) for each, _ in parts)
-    computer = "; ".join(dict.fromkeys(f"{each}, on {date}" if date else each for each, date in made))
+    computer = "; ".join(dict.fromkeys(f"{each}, {date}" if date else each for each, date in made))
     reasons = dict.fromkeys(reason for _, reason in parts if reason)
     answer = "\n\n".join([answer, *map(WAIT.format, reasons)])
     text = PAGE.format(title=title, question=question, answer=answer, body=body.strip("\n"), rows=links,

@@ -81,7 +81,7 @@ def end(x):
 def idle():
     return 0.0
 ''',
-    "own/table.py": '''def made(number):
+    "own/table.py": """def made(number):
     return number + 0.0
 
 
@@ -92,21 +92,21 @@ def checked(number):
 TABLE = {"one": made(1.0)}
 CHECKED = checked(1.0)
 PLACES = {"first": "own.plugin:FIRST", "second": "own.unloaded:SECOND"}
-''',
+""",
     "own/plugin.py": "FIRST = 5.0\nNEVER = 6.0\n",
     "own/unloaded.py": "SECOND = 7.0\n",
     "own/threads.py": "def threaded():\n    return 1\n",
     "own/drawing.py": "def page():\n    return 1\n",
     "own/settings.yaml": "factor: 2.0  # a comment\n",
     "own/unread.yaml": "factor: 2.0\n",
-    "scripts/studies/study.py": '''from own.drawing import page
+    "scripts/studies/study.py": """from own.drawing import page
 
 
 class Study:
     def draw(self):
         return page()
-''',
-    "program.py": '''import sys
+""",
+    "program.py": """import sys
 from importlib import import_module
 from multiprocessing import get_context
 from threading import Thread
@@ -133,7 +133,7 @@ def main():
 
 if __name__ == "__main__":
     main()
-''',
+""",
 }
 
 
@@ -256,7 +256,8 @@ def test_names_are_found_through_imports_and_attributes(tmp_path):
         "own/__init__.py": "from own.parts import NUMBER as SAME\n",
         "own/parts.py": "NUMBER = 1\nOTHER = NUMBER\n\nclass Part:\n    size = NUMBER\n",
         "use.py": "import own\nimport own.parts as parts\nfrom own.parts import Part\n\n"
-                  "def f(OTHER: Part, x=own.SAME):\n    from own import parts as inside\n    return OTHER, inside.OTHER\n\n"
+                  "def f(OTHER: Part, x=own.SAME):\n    from own import parts as inside\n"
+                  "    return OTHER, inside.OTHER\n\n"
                   "def g():\n    return parts.Part.size\n\n"
                   "def h():\n    own = 1\n    return own\n",
     }.items():  # fmt: skip
