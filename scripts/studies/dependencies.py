@@ -80,7 +80,7 @@ class Module:
                     self._add(each, f"{prefix}{node.name}.")
         elif isinstance(node, ast.Import | ast.ImportFrom):
             self.imports |= imported(node)
-        elif names := {each.id for each in ast.walk(node) if isinstance(each, ast.Name) and _is_stored(each)}:
+        elif names := _assigned(node):
             for name in names:
                 self.nodes[name].append(node)
         elif not _is_text(node):
@@ -105,6 +105,13 @@ def imported(node: ast.Import | ast.ImportFrom) -> dict[str, tuple[str, str]]:
         return {each.asname or each.name: (node.module or "", each.name) for each in node.names}
     return {each.asname or each.name.partition(".")[0]: (each.name if each.asname else each.name.partition(".")[0], "")
             for each in node.names}  # fmt: skip
+
+
+def _assigned(node: ast.stmt) -> set[str]:
+    """Return the names that a statement assigns, without the variables of its comprehensions."""
+    nodes = list(ast.walk(node))
+    inside = {id(part) for each in nodes if isinstance(each, ast.comprehension) for part in ast.walk(each.target)}
+    return {each.id for each in nodes if isinstance(each, ast.Name) and _is_stored(each) and id(each) not in inside}
 
 
 def _is_stored(name: ast.Name) -> bool:

@@ -11,9 +11,9 @@ from studies.files import read_comment, split_made, split_waiting
 NAMED = 3  # changes that a line names
 NUMBERS = "scripts/readme.py --check --only README.md docs/index.md"  # reads the rows of the numbers of these pages
 NOTE = '<p class="old"><em>{}</em></p>'
-CHANGED = "These rows are older than the code: {} changed since version {}."
-UNRECORDED = "The code of these rows is not recorded; they are of version {}."
-VERSION = re.compile(r"flexman_gym (\d+)\.(\d+)\.\d+")
+CHANGED = "These rows are older than the code: {} changed since{}."
+UNRECORDED = "With which code these rows were computed is not recorded{}."
+VERSION = re.compile(r"flexman_gym (\d+\.\d+\.\d+)")
 
 
 def described(age: Age) -> str:
@@ -27,9 +27,13 @@ def _listed(changes: Iterable[str]) -> str:
     return ", ".join(first[:NAMED]) + (f" and {more} more" if more > 0 else "")
 
 
-def versions(study: EvidenceStudy, root: Path) -> list[tuple[int, int]]:
-    """Return the versions (major, minor) that the rows of a study name, the oldest first."""
-    return sorted((int(match[1]), int(match[2])) for text in _comments(study, root) for match in VERSION.finditer(text))
+def versions(study: EvidenceStudy, root: Path) -> list[tuple[int, ...]]:
+    """Return the versions (major, minor, patch) that the rows of a study name, the oldest first."""
+    return sorted(_numbers(match[1]) for text in _comments(study, root) for match in VERSION.finditer(text))
+
+
+def _numbers(version: str) -> tuple[int, ...]:
+    return tuple(int(part) for part in version.split("."))
 
 
 def _comments(study: EvidenceStudy, root: Path) -> Iterator[str]:
@@ -42,10 +46,12 @@ def note(checkout: Checkout, study: EvidenceStudy) -> str:
     age = checkout.rows_age(study)
     if age.state == CURRENT:
         return ""
-    known = ["{}.{}".format(*each) for each in versions(study, checkout.root)] or ["that is not recorded"]
+    oldest = "".join(f" version {'.'.join(map(str, each))}" for each in versions(study, checkout.root)[:1])
     dates = {split_made(split_waiting(text)[0])[1] for text in _comments(study, checkout.root)} - {""}
-    version = known[0] + "".join(f" of {date}" for date in sorted(dates)[:1])
-    return CHANGED.format(_listed(age.changes), version) if age.state == STALE else UNRECORDED.format(version)
+    oldest += "".join(f" of {date}" for date in sorted(dates)[:1])
+    if age.state == STALE:
+        return CHANGED.format(_listed(age.changes), oldest)
+    return UNRECORDED.format(f"; they are of{oldest}" if oldest else "")
 
 
 def insert_notes(checkout: Checkout, known: Iterable[EvidenceStudy], site: Path) -> list[str]:
@@ -68,13 +74,13 @@ def release_faults(checkout: Checkout, known: Iterable[EvidenceStudy]) -> list[s
     Rows of the numbers of README and home must be current; others may be one version old.
     """
     result, read = [], checkout.files_read(NUMBERS)
-    major, minor = (int(part) for part in flexman_gym.__version__.split(".")[:2])
+    major, minor, _ = _numbers(flexman_gym.__version__)
     for study in known:
         age, root = checkout.rows_age(study), checkout.root
         own = {path.relative_to(root).as_posix() for pattern in study.rows for path in root.glob(pattern)}
-        old = [each for each in versions(study, root) if each < (major, minor - 1)]
+        old = [each for each in versions(study, root) if each[:2] < (major, minor - 1)]
         if own & read and age.state != CURRENT:
             result.append(f"{study.name}, of README or home: {described(age)}")
         elif old:
-            result.append(f"{study.name}: rows of version {old[0][0]}.{old[0][1]}, older than the last one")
+            result.append(f"{study.name}: rows of version {'.'.join(map(str, old[0]))}, more than one version old")
     return result

@@ -161,12 +161,12 @@ def test_a_page_that_is_older_than_its_code_says_so_at_its_top(study, tmp_path):
     make(drawn, tmp_path, neutral=())
     assert insert_notes(Checkout(tmp_path, ()), [drawn], site) == [] and (site / "page.html").read_text() == html
     edit(tmp_path / "numbers_.py", "FACTOR * x", "FACTOR + x")
-    text = "These rows are older than the code: numbers_.py double changed since version 0.2 of 2026-10-02."
+    text = "These rows are older than the code: numbers_.py double changed since version 0.2.0 of 2026-10-02."
     assert insert_notes(Checkout(tmp_path, ()), [drawn], site) == [f"page.html: {text}"]
     marked = f'<nav></nav><h1>Title</h1>\n<p class="old"><em>{text}</em></p>\n<p>Answer.</p><h1>Part</h1>'
     assert (site / "page.html").read_text() == marked
     (tmp_path / RECORDS / "study.json").unlink()
-    expected = "The code of these rows is not recorded; they are of version 0.2 of 2026-10-02."
+    expected = "With which code these rows were computed is not recorded; they are of version 0.2.0 of 2026-10-02."
     assert note(Checkout(tmp_path, ()), drawn) == expected
 
 
@@ -183,7 +183,7 @@ def test_a_release_refuses_old_rows_of_readme_and_home_and_very_old_rows_of_othe
     (tmp_path / "other.csv").write_text("# computer, flexman_gym 0.1.0\nx\n")
     assert release_faults(Checkout(tmp_path, ()), [study, other]) == [
         "study, of README or home: older than its code: numbers_.py FACTOR",
-        "other: rows of version 0.1, older than the last one",
+        "other: rows of version 0.1.0, more than one version old",
     ]
 
 

@@ -48,7 +48,7 @@ def run(options: Namespace) -> int:
 def _print_list(checkout: Checkout, chosen: list[EvidenceStudy]) -> None:
     """Print a line for each study whose rows or drawings are not current, and the CPU time that they take."""
     left = []
-    for study in chosen:
+    for study in sorted(chosen, key=lambda each: checkout.rows_age(each).state == UNKNOWN):
         rows, minutes = checkout.rows_age(study), checkout.minutes(study)
         drawing = checkout.drawing_age(study) if study.drawn else None
         if rows.state != CURRENT:
