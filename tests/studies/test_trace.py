@@ -35,6 +35,19 @@ def outer(x):
 @kernel
 def other(x):
     return UNUSED * x
+
+
+def registering(function):
+    return function
+
+
+def helper(x):
+    return x / 3.0
+
+
+@registering
+def registered(x):
+    return helper(x)
 ''',
     "own/work.py": '''import os
 from pathlib import Path
@@ -43,12 +56,16 @@ import numpy as np
 import yaml
 
 from own import kernels
-from own.table import TABLE
+from own.table import TABLE, twice
 
 HERE = Path(__file__).parent
 
 
-class Settings:
+class Base:
+    limit = 8.0
+
+
+class Settings(Base):
     gain = 4.0
 
     def __init__(self):
@@ -69,6 +86,7 @@ def last(x):
 
 def task(x):
     """Return a number."""
+    twice(x)
     weights = np.load(HERE / "policy.npz")["weights"]
     return float(Settings().product(kernels.outer(x)) + weights.sum() + TABLE["one"])
 
@@ -89,12 +107,20 @@ def checked(number):
     return number
 
 
+def twice(number):
+    return 2.0 * number
+
+
 TABLE = {"one": made(1.0)}
+TABLE["two"] = 9.0
 CHECKED = checked(1.0)
+TWICE = twice(1.0)
 PLACES = {"first": "own.plugin:FIRST", "second": "own.unloaded:SECOND"}
 """,
     "own/plugin.py": "FIRST = 5.0\nNEVER = 6.0\n",
     "own/unloaded.py": "SECOND = 7.0\n",
+    "own/shapes.py": 'SHAPES = {"square": lambda x: x**2}\nOTHERS = {"cube": lambda x: x**3}\n',
+    "own/outside.py": "def called():\n    return 1\n",
     "own/threads.py": "def threaded():\n    return 1\n",
     "own/drawing.py": "def page():\n    return 1\n",
     "own/settings.yaml": "factor: 2.0  # a comment\n",
@@ -111,7 +137,7 @@ from importlib import import_module
 from multiprocessing import get_context
 from threading import Thread
 
-sys.path.insert(0, "scripts/studies")
+sys.path[:0] = ["scripts/studies", "../others"]
 
 
 def main():
@@ -122,6 +148,8 @@ def main():
     from study import Study
 
     place, name = PLACES["first"].split(":")
+    import_module("outsider")
+    getattr(import_module("own.shapes"), "SHAPES")["square"](2.0)
     print(getattr(import_module(place), name) + sum(parallel_map(task, [1.0, 2.0], 2)))
     Thread(target=threaded).start()
     process = get_context("fork").Process(target=end, args=(1,))
@@ -146,6 +174,8 @@ def checkout(tmp_path_factory):
     for path, text in FILES.items():
         (root / path).parent.mkdir(parents=True, exist_ok=True)
         (root / path).write_text(text)
+    (root.parent / "others").mkdir()
+    (root.parent / "others" / "outsider.py").write_text("from own.outside import called\n\ncalled()\n")
     np.savez(root / "own" / "policy.npz", weights=np.ones(3))
     np.savez(root / "own" / "second.npz", weights=np.ones(3))
     sources, start = Sources(root), time.time() + 1.0
@@ -165,6 +195,12 @@ CHANGED = [
     ("own/kernels.py", "SCALE + 1.0", "SCALE + 2.0", "kernels.py OFFSET"),
     ("own/kernels.py", '"numpy"', '"python"', "kernels.py kernel"),  # decorator
     ("own/table.py", "number + 0.0", "number + 1.0", "table.py made"),  # called by the import, for a constant in use
+    ("own/kernels.py", "return helper(x)", "return -helper(x)", "kernels.py registered"),  # of the compiler
+    ("own/kernels.py", "x / 3.0", "x / 4.0", "kernels.py helper"),
+    ("own/work.py", "limit = 8.0", "limit = 9.0", "work.py Base"),
+    ("own/table.py", "2.0 * number", "3.0 * number", "table.py twice"),  # called by the import and by the run
+    ("own/shapes.py", "x**2", "x**4", "shapes.py SHAPES"),
+    ("own/table.py", "9.0", "9.5", "table.py statements"),
     ("own/table.py", "made(1.0)", "made(2.0)", "table.py TABLE"),
     ("own/plugin.py", "5.0", "5.5", "plugin.py FIRST"),  # entry of a table that was loaded
     ("own/settings.yaml", "2.0", "3.0", "settings.yaml"),
@@ -181,6 +217,9 @@ UNCHANGED = [
     ("own/kernels.py", "UNUSED * x", "UNUSED / x"),  # kernel that nothing calls, and its constant
     ("own/kernels.py", "UNUSED = 3.0", "UNUSED = 4.0"),
     ("own/table.py", "return number\n", "return number + 1\n"),  # called by the import, for a constant of nobody
+    ("own/table.py", "twice(1.0)", "twice(2.0)"),
+    ("own/outside.py", "return 1", "return 2"),  # called by the import of another package
+    ("own/shapes.py", "x**3", "x**4"),
     ("own/plugin.py", "6.0", "6.5"),
     ("own/unloaded.py", "7.0", "7.5"),  # entry of a table that was not loaded
     ("own/drawing.py", "return 1", "return 2"),  # it decides no rows
@@ -213,6 +252,11 @@ def test_a_change_of_what_a_run_used_is_noticed_by_its_name(checkout, file, old,
 @pytest.mark.parametrize(("file", "old", "new"), UNCHANGED)
 def test_a_change_of_anything_else_is_not_noticed(checkout, file, old, new):
     assert changes(checkout, file, old, new) == []
+
+
+@pytest.mark.slow
+def test_files_that_are_read_count_and_no_others(checkout):
+    assert checkout[1].files.keys() == {"own/settings.yaml", "own/policy.npz"}
 
 
 @pytest.mark.slow
