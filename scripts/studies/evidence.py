@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 import flexman_gym
 from flexman_gym.common import files
+from flexman_gym.common.computer import computer_info
 from studies.dependencies import Sources, hash_of, long_hash
 from studies.files import add_code, today
 from studies.trace import Dependencies, read_record, run_traced
@@ -159,7 +160,8 @@ class Checkout:
         for path in (path for pattern in study.rows for path in self.root.glob(pattern) if path.suffix == ".csv"):
             add_code(path, digest)
         minutes = round(sum(_sessions(trace)) / 60, 1)
-        made = {"code": digest, "date": today(), "minutes": minutes, "version": flexman_gym.__version__}
+        made = {"code": digest, "date": today(), "minutes": minutes, "version": flexman_gym.__version__,
+                "processor": computer_info()["processor"]}  # fmt: skip
         self.write_record(study.name, code | made)
 
     def draw(self, study: EvidenceStudy) -> None:

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import flexman_gym
 from studies.evidence import CURRENT, STALE, Age, Checkout, EvidenceStudy
-from studies.files import read_comment, split_made, split_waiting
+from studies.files import read_comment
 
 NAMED = 3  # changes that a line names
 NUMBERS = "scripts/readme.py --check --only README.md docs/index.md"  # reads the rows of the numbers of these pages
 NOTE = '<p class="old"><em>{}</em></p>'
-CHANGED = "These rows are older than the code: {} changed since{}."
+CHANGED = "These rows are older than the code: {} changed since version {} of {}."
 UNRECORDED = "With which code these rows were computed is not recorded{}."
 VERSION = re.compile(r"flexman_gym (\d+\.\d+\.\d+)")
 
@@ -36,6 +36,10 @@ def _numbers(version: str) -> tuple[int, ...]:
     return tuple(int(part) for part in version.split("."))
 
 
+def _text(version: tuple[int, ...]) -> str:
+    return ".".join(map(str, version))
+
+
 def _comments(study: EvidenceStudy, root: Path) -> Iterator[str]:
     paths = (path for pattern in study.rows for path in sorted(root.glob(pattern)) if path.suffix == ".csv")
     yield from (read_comment(path) for path in paths)
@@ -46,12 +50,11 @@ def note(checkout: Checkout, study: EvidenceStudy) -> str:
     age = checkout.rows_age(study)
     if age.state == CURRENT:
         return ""
-    oldest = "".join(f" version {'.'.join(map(str, each))}" for each in versions(study, checkout.root)[:1])
-    dates = {split_made(split_waiting(text)[0])[1] for text in _comments(study, checkout.root)} - {""}
-    oldest += "".join(f" of {date}" for date in sorted(dates)[:1])
     if age.state == STALE:
-        return CHANGED.format(_listed(age.changes), oldest)
-    return UNRECORDED.format(f"; they are of{oldest}" if oldest else "")
+        known = checkout.record(study.name)
+        return CHANGED.format(_listed(age.changes), known["version"], known["date"])
+    oldest = "".join(f"; they are of version {_text(each)}" for each in versions(study, checkout.root)[:1])
+    return UNRECORDED.format(oldest)
 
 
 def insert_notes(checkout: Checkout, known: Iterable[EvidenceStudy], site: Path) -> list[str]:
@@ -82,5 +85,5 @@ def release_faults(checkout: Checkout, known: Iterable[EvidenceStudy]) -> list[s
         if own & read and age.state != CURRENT:
             result.append(f"{study.name}, of README or home: {described(age)}")
         elif old:
-            result.append(f"{study.name}: rows of version {'.'.join(map(str, old[0]))}, more than one version old")
+            result.append(f"{study.name}: rows of version {_text(old[0])}, more than one version old")
     return result

@@ -24,9 +24,12 @@ from studies.files import MADE, add_code, made_comment, read_comment, split_made
 from studies.staleness import described, insert_notes, note, release_faults
 
 NUMBERS = "FACTOR = 2.0\n\n\ndef double(x):\n    return FACTOR * x\n"
-COMMAND = """from numbers_ import double
+COMMAND = """from pathlib import Path
+
+from numbers_ import double
 
 def main():
+    Path("rows.csv").exists() and Path("rows.csv").read_text()
     with open("rows.csv", "a") as file:
         file.write(f"# computer, flexman_gym 0.2.0; made 2026-10-02, 1 row\\nx\\n{double(1.0)}\\n")
 
@@ -161,12 +164,13 @@ def test_a_page_that_is_older_than_its_code_says_so_at_its_top(study, tmp_path):
     make(drawn, tmp_path, neutral=())
     assert insert_notes(Checkout(tmp_path, ()), [drawn], site) == [] and (site / "page.html").read_text() == html
     edit(tmp_path / "numbers_.py", "FACTOR * x", "FACTOR + x")
-    text = "These rows are older than the code: numbers_.py double changed since version 0.2.0 of 2026-10-02."
+    since = f"version {fm.__version__} of {today()}"
+    text = f"These rows are older than the code: numbers_.py double changed since {since}."
     assert insert_notes(Checkout(tmp_path, ()), [drawn], site) == [f"page.html: {text}"]
     marked = f'<nav></nav><h1>Title</h1>\n<p class="old"><em>{text}</em></p>\n<p>Answer.</p><h1>Part</h1>'
     assert (site / "page.html").read_text() == marked
     (tmp_path / RECORDS / "study.json").unlink()
-    expected = "With which code these rows were computed is not recorded; they are of version 0.2.0 of 2026-10-02."
+    expected = "With which code these rows were computed is not recorded; they are of version 0.2.0."
     assert note(Checkout(tmp_path, ()), drawn) == expected
 
 

@@ -1,12 +1,13 @@
 """Tests of the dependencies of a run: what it used in all processes, kernels, constants and files, and nothing else."""
 
+import ast
 import subprocess
 import sys
 import time
 
 import pytest
 
-from studies.dependencies import Name, Sources, hash_of
+from studies.dependencies import Name, Sources, hash_of, plain
 from studies.trace import Dependencies, read_record, run_traced
 
 FILES = {
@@ -84,9 +85,15 @@ def last(x):
     return x
 
 
+def never():
+    return 2.0
+
+
 def task(x):
     """Return a number."""
     twice(x)
+    if x < 0.0:
+        never()
     weights = np.load(HERE / "policy.npz")["weights"]
     return float(Settings().product(kernels.outer(x)) + weights.sum() + TABLE["one"])
 
@@ -119,7 +126,8 @@ PLACES = {"first": "own.plugin:FIRST", "second": "own.unloaded:SECOND"}
 """,
     "own/plugin.py": "FIRST = 5.0\nNEVER = 6.0\n",
     "own/unloaded.py": "SECOND = 7.0\n",
-    "own/shapes.py": 'SHAPES = {"square": lambda x: x**2}\nOTHERS = {"cube": lambda x: x**3}\n',
+    "own/shapes.py": 'SHAPES = {"square": lambda x: x**2}\nOTHERS = {"cube": lambda x: x**3}\n'
+    "\n\nclass Hidden:\n    factor = 6.0\n\n    def area(self):\n        return self.factor\n",
     "own/outside.py": "def called():\n    return 1\n",
     "own/threads.py": "def threaded():\n    return 1\n",
     "own/drawing.py": "def page():\n    return 1\n",
@@ -150,6 +158,7 @@ def main():
     place, name = PLACES["first"].split(":")
     import_module("outsider")
     getattr(import_module("own.shapes"), "SHAPES")["square"](2.0)
+    getattr(import_module("own.shapes"), "Hidden")().area()
     print(getattr(import_module(place), name) + sum(parallel_map(task, [1.0, 2.0], 2)))
     Thread(target=threaded).start()
     process = get_context("fork").Process(target=end, args=(1,))
@@ -200,6 +209,7 @@ CHANGED = [
     ("own/work.py", "limit = 8.0", "limit = 9.0", "work.py Base"),
     ("own/table.py", "2.0 * number", "3.0 * number", "table.py twice"),  # called by the import and by the run
     ("own/shapes.py", "x**2", "x**4", "shapes.py SHAPES"),
+    ("own/shapes.py", "factor = 6.0", "factor = 7.0", "shapes.py Hidden"),  # field of a class that no text names
     ("own/table.py", "9.0", "9.5", "table.py statements"),
     ("own/table.py", "made(1.0)", "made(2.0)", "table.py TABLE"),
     ("own/plugin.py", "5.0", "5.5", "plugin.py FIRST"),  # entry of a table that was loaded
@@ -208,6 +218,7 @@ CHANGED = [
 ]
 UNCHANGED = [
     ("own/work.py", "def idle():\n    return 0.0", "def idle():\n    return 1.0"),  # function that was not called
+    ("own/work.py", "    return 2.0", "    return 3.0"),  # named by a function, and not called
     ("own/work.py", "def idle(self):\n        return 0.0", "def idle(self):\n        return 1.0"),
     ("own/work.py", '"""Return a number."""', '"""Return another number."""'),
     ("own/work.py", "# a comment", "# another comment"),
@@ -303,7 +314,7 @@ def test_names_are_found_through_imports_and_attributes(tmp_path):
                   "def f(OTHER: Part, x=own.SAME):\n    from own import parts as inside\n"
                   "    return OTHER, inside.OTHER\n\n"
                   "def g():\n    return parts.Part.size\n\n"
-                  "def h():\n    own = 1\n    return own\n",
+                  "def h(Part):\n    parts = Part\n    return parts.OTHER, Part\n",
     }.items():  # fmt: skip
         (tmp_path / path).parent.mkdir(exist_ok=True)
         (tmp_path / path).write_text(text)
@@ -311,6 +322,13 @@ def test_names_are_found_through_imports_and_attributes(tmp_path):
     found = {name: {each.name for each in sources.references(Name("use.py", name))} for name in "fgh"}
     assert found == {"f": {"NUMBER", "OTHER"}, "g": {"Part"}, "h": set()}
     assert sources.references(Name("own/parts.py", "Part")) == {Name("own/parts.py", "NUMBER")}
+
+
+def test_the_text_of_a_definition_is_that_of_all_versions_of_python():
+    """Later versions have more fields, which are empty in earlier ones."""
+    node = ast.parse('def f(x: int) -> int:\n    """Text."""\n    return x  # a comment\n').body[0]
+    body = "body=[Return(value=Name(id='x'))]"
+    assert plain(node) == f"FunctionDef(name='f',args=arguments(args=[arg(arg='x')]),{body})"
 
 
 def test_a_folder_is_hashed_with_its_names_and_data(tmp_path):

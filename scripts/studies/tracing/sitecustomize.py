@@ -128,7 +128,7 @@ class _Record:
     def owner(self, frame: Any) -> tuple[bool, str, str]:
         """Return whether a call counts, the innermost file of the checkout, and the line of a module under import.
 
-        A call below `IGNORED` does not count, and neither does one that the import of another package causes.
+        A call below `IGNORED` does not count. The line of a module of another package is that of no statement here.
         """
         reader = ""
         while frame is not None:
@@ -138,7 +138,7 @@ class _Record:
             if f"{path}:{code.co_qualname}" == self._ignored:
                 return False, "", ""
             if code.co_name == "<module>" and frame.f_globals.get("__name__") != "__main__":
-                return bool(path), reader, f"{path}:{frame.f_lineno}"
+                return True, reader, f"{path}:{frame.f_lineno}"
             frame = frame.f_back
         return True, reader, ""
 
