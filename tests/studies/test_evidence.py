@@ -1,6 +1,8 @@
 """Tests of the age of evidence: what is noticed, what is made again, what a release refuses, what a page says."""
 
 import json
+import os
+import shutil
 import subprocess
 from dataclasses import replace
 
@@ -189,6 +191,21 @@ def test_a_release_refuses_old_rows_of_readme_and_home_and_very_old_rows_of_othe
         "study, of README or home: older than its code: numbers_.py FACTOR",
         "other: rows of version 0.1.0, more than one version old",
     ]
+
+
+def test_wheels_of_a_release_are_not_built_with_old_numbers(tmp_path):
+    (tmp_path / "scripts").mkdir()
+    shutil.copy(ROOT / "scripts" / "wheels.sh", tmp_path / "scripts")
+    python = tmp_path / ".venv" / "bin" / "python"
+    python.parent.mkdir(parents=True)
+    command = [tmp_path / "scripts" / "wheels.sh", "wheels", "false"]  # `false` is no Python: a build stops there
+    for old, trial, built in ((1, "", False), (1, "1", True), (0, "", True)):
+        python.write_text(f'#!/bin/sh\n[ "$*" = "-m studies evidence --release" ] && exit {old}\nexit 2\n')
+        python.chmod(0o755)
+        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, env=os.environ | {"TRIAL": trial})
+        assert done.returncode == 1 and ("TRIAL=1 builds wheels" in done.stderr) == (not built)
+        assert (tmp_path / "wheels").exists() == built
+        shutil.rmtree(tmp_path / "wheels", ignore_errors=True)
 
 
 def test_a_comment_has_the_computer_the_date_the_number_of_rows_and_the_hash(tmp_path):
