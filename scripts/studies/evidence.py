@@ -2,6 +2,7 @@
 
 import json
 import shlex
+import shutil
 import subprocess
 import time
 from collections.abc import Mapping, Sequence
@@ -52,6 +53,8 @@ class EvidenceStudy:
         drawn: patterns of files that are drawn from the rows.
         redraw: command that only draws; "" if there is none.
         folder: folder of the rows of a program of `python -m studies`, relative to the root.
+        built: folder in which the commands write, if they run only what is missing there; its files are copied to their
+            places at the end.
         code: files and folders that the study uses in processes that cannot be traced.
         budget: largest CPU time, min; of studies that take hours.
     """
@@ -63,6 +66,7 @@ class EvidenceStudy:
     drawn: Sequence[str] = ()
     redraw: str = ""
     folder: str = "docs/evidence"
+    built: str = ""
     code: Sequence[str] = ()
     budget: float | None = None
 
@@ -154,6 +158,7 @@ class Checkout:
             finally:
                 with trace.open("a", encoding="utf-8") as file:
                     file.write(f"{SECONDS}\t{_children_seconds() - before:.1f}\t\t\n")
+        self._copy_built(study)
         rows = self._dependencies(trace, [*study.rows, *study.drawn], self.start)
         code = {"rows": asdict(rows), "folders": hash_of(study.code, self.root) if study.code else ""}
         digest = long_hash(json.dumps(code, sort_keys=True).encode())
@@ -163,6 +168,13 @@ class Checkout:
         made = {"code": digest, "date": today(), "minutes": minutes, "version": flexman_gym.__version__,
                 "processor": computer_info()["processor"]}  # fmt: skip
         self.write_record(study.name, code | made)
+
+    def _copy_built(self, study: EvidenceStudy) -> None:
+        """Copy rows, pages and charts from the folder in which a study was built, if it has one."""
+        source = self.root / study.built.format(hash=self.code)
+        for pattern in map(Path, (*study.rows, *study.drawn) if study.built else ()):
+            for path in source.glob(pattern.name):
+                shutil.copy(path, self.root / pattern.parent)
 
     def draw(self, study: EvidenceStudy) -> None:
         """Draw pages and charts from the stored rows, and record what was used.

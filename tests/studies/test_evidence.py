@@ -116,6 +116,22 @@ def test_an_interrupted_run_keeps_what_its_first_part_used_and_its_time(study, t
 
 
 @pytest.mark.slow
+def test_a_study_that_runs_what_is_missing_is_built_anew_in_a_folder_of_its_code(study, tmp_path):
+    (tmp_path / "write.py").write_text(
+        "import sys\nfrom pathlib import Path\nfrom numbers_ import double\n\n"
+        'file = Path(sys.argv[1], "rows.csv")\nfile.parent.mkdir(parents=True, exist_ok=True)\n'
+        "file.exists() or file.write_text(str(double(1.0)))\n"
+    )
+    built = replace(study, rows=["docs/rows.csv"], commands=["write.py out/{hash}"], built="out/{hash}")
+    for factor in ("2.0", "3.0"):
+        (tmp_path / "numbers_.py").write_text(NUMBERS.replace("2.0", factor))
+        (tmp_path / "agents").mkdir(exist_ok=True)
+        (tmp_path / "agents" / "code.yaml").write_text(factor)
+        make(built, tmp_path, neutral=())
+        assert (tmp_path / "docs" / "rows.csv").read_text() == factor and state(built, tmp_path) == CURRENT
+
+
+@pytest.mark.slow
 def test_a_change_of_the_drawing_or_of_the_rows_draws_and_keeps_the_rows(study, tmp_path):
     drawn = replace(study, drawn=["docs/page.md"], redraw="draw.py")
     (tmp_path / "docs" / "page.md").write_text("")
