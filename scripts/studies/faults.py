@@ -36,7 +36,7 @@ RECIPES: dict[str, dict[str, Any]] = {
     },
 }  # fmt: skip
 EVERY = {"ppo": 160, "sac": 64}  # steps between checkpoints, short so that saving takes much of the time
-POLL_INTERVAL = 2e-4  # s; a tenth of the duration of a saving; to wait without a pause took half of the CPU time
+POLL_INTERVAL = 2e-4  # s; a saving takes milliseconds; to wait without a pause takes the time of a processor
 HEADS = ("fault", "tried", "survived", "lost")
 QUESTION = "What is lost if a training is killed, interrupted, started twice or runs on a full disk?"
 ANSWER = """**{survived} of {tried} trainings that were disturbed could be resumed, and all of these end bitwise
