@@ -24,11 +24,13 @@ quick: .venv/installed
 site: pages
 	.venv/bin/python scripts/notebooks.py --run --folder out/site/tutorials
 
-# The same site with notebooks that have no outputs yet: the tests run the code of the pages.
+# The same site with notebooks that have no outputs yet: the tests run the code of the pages. Pages that are older than
+# their code say so at their top.
 pages: .venv/installed
 	@mkdir -p build/site && ln -sfn ../../flexman_gym build/site/flexman_gym
 	@ln -sfn ../../agents build/site/flexman_agents
 	timeout 600 $(RUN) zensical build --strict --clean
+	$(RUN) studies evidence --notes out/site
 	.venv/bin/python scripts/notebooks.py --folder out/site/tutorials
 
 # The script of the replay page is what its sources say; left out without a network.
@@ -47,17 +49,18 @@ wheel:
 	@PYTHON=$(PYTHON) TORCH=$(TORCH) scripts/wheel.sh
 
 # The wheels of a release, into out/wheels: for every platform, and with machine code for Pythons that are found here.
-wheels:
+# Fails if numbers of README and home are of old rows; TRIAL=1 builds wheels that are not released.
+wheels: .venv/installed
 	@mkdir -p out
-	@TORCH=$(TORCH) scripts/wheels.sh out/wheels
+	@TORCH=$(TORCH) TRIAL=$(TRIAL) scripts/wheels.sh out/wheels
 
 # Short training loops of Stable-Baselines3, sb3-contrib, skrl, TorchRL and Tianshou, in an environment of their own.
 clients:
 	@PYTHON=$(PYTHON) TORCH=$(TORCH) scripts/clients.sh
 
-# Lists the rows, pages, pictures and policies that are older than the code that they describe. STUDY="servos faults"
-# makes these studies, STUDY=stale all that are not current; after an interruption the same command goes on. The tests
-# compare the stored rows and pages with the code.
+# Lists the rows, pages, pictures and policies that are older than the code that they describe, with what has changed.
+# STUDY="servos faults" makes these studies, STUDY=stale all that are not current; after an interruption the same command
+# goes on. The tests compare the stored rows and pages with the code.
 evidence: export OMP_NUM_THREADS = 1
 evidence: .venv/installed
 	$(RUN) studies evidence $(if $(STUDY),--make $(filter-out stale,$(STUDY)))

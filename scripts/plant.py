@@ -6,7 +6,7 @@ from pathlib import Path
 
 from flexman_gym.common.computer import computer_text
 from flexman_gym.common.parallel import Workers, parallel_map_unordered
-from studies.files import folder, read_comments, read_rows, write_rows
+from studies.files import folder, made_comment, read_comments, read_rows, today, write_rows
 from studies.planted.measure import CAUGHT, CHECKOUT, PARTS, SURVIVED, Planted, kept, misplaced, planted
 from studies.planted.page import counts, page
 
@@ -19,14 +19,16 @@ def main() -> int:
     parser.add_argument("--new", action="store_true", help="skip errors that the rows record as caught")
     parser.add_argument("--redraw", action="store_true", help="write the page from the rows of an earlier run")
     parser.add_argument("--folder", type=folder, default="docs/evidence", help="folder of the page and its rows")
+    parser.add_argument("--kept", type=folder, help="folder of outcomes, from which an interrupted run resumes")
     Workers.arguments(parser)
     options = parser.parse_args()
     file = options.folder / "planted.csv"
     if options.redraw:
         _write_page(file)
         return 0
-    rows = kept(file)
-    known = {(row.part, row.error) for row in rows.values() if row.outcome == CAUGHT} if options.new else set()
+    done = kept(options.kept / file.name) if options.kept else {}
+    rows = kept(file) | done
+    known = done.keys() | {key for key, row in rows.items() if options.new and row.outcome == CAUGHT}
     chosen = [
         change
         for change in (change for name, every in PARTS.items() if options.part in (None, name) for change in every)
@@ -36,10 +38,12 @@ def main() -> int:
         parser.error("; ".join(faults))
     for _, row in parallel_map_unordered(planted, chosen, Workers.of(options)):
         print(f"{row.outcome:10} {row.seconds:4.0f} s  {row.part}: {row.error} ({row.by})", flush=True)
-        rows[row.part, row.error] = row
+        rows[row.part, row.error] = done[row.part, row.error] = row
+        if options.kept:
+            write_rows([*done.values()], options.kept / file.name)
         result = [rows[change.part, change.error] for every in PARTS.values() for change in every
                  if (change.part, change.error) in rows]  # fmt: skip
-        write_rows(result, file, 2, computer_text())
+        write_rows(result, file, 2, made_comment(computer_text(), today(), len(result)))
         _write_page(file)
     if not chosen:
         print("no error matches the options")

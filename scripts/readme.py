@@ -1,6 +1,7 @@
 """Write the numbers of the README and of sentences of pages from stored rows: python scripts/readme.py"""
 
 import argparse
+from collections.abc import Collection
 from pathlib import Path
 
 from studies.readme import readme
@@ -10,20 +11,23 @@ from studies.sources import Sources
 ROOT = Path(__file__).parents[1]
 
 
-def texts(root: Path) -> dict[Path, str]:
-    """Return the README and the hand-written pages with numbers from rows: path -> text."""
-    sources, path = Sources(root / "docs"), root / "README.md"
-    result = {path: readme(path.read_text(encoding="utf-8"), sources, root / "mkdocs.yml")}
-    return result | {page: updated(page.read_text(encoding="utf-8"), sources)
-                     for page in sorted((root / "docs").rglob("*.md")) if page.name != "changelog.md"}  # fmt: skip
+def texts(root: Path, only: Collection[Path] = ()) -> dict[Path, str]:
+    """Return the README and the hand-written pages, or only some of them, with numbers from rows: path -> text."""
+    sources, first, result = Sources(root / "docs"), root / "README.md", {}
+    for path in (first, *sorted((root / "docs").rglob("*.md"))):
+        if path.name != "changelog.md" and (not only or path in only):
+            text = path.read_text(encoding="utf-8")
+            result[path] = readme(text, sources, root / "mkdocs.yml") if path == first else updated(text, sources)
+    return result
 
 
 def main() -> int:
     """Write or check the texts; return the exit status."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--check", action="store_true", help="only list the texts that differ from their rows")
+    parser.add_argument("--only", nargs="+", default=[], metavar="FILE", help="files, such as README.md docs/index.md")
     options, stale = parser.parse_args(), []
-    for path, text in texts(ROOT).items():
+    for path, text in texts(ROOT, [ROOT / each for each in options.only]).items():
         if path.read_text(encoding="utf-8") != text:
             stale.append(path)
             if not options.check:

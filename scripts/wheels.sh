@@ -5,11 +5,18 @@
 #
 #     scripts/wheels.sh FOLDER [PYTHON ...]
 #
+# It stops if numbers of README and home are of rows that are older than their code, unless TRIAL=1 is set: such wheels
+# are not released.
+#
 # The Pythons are programs (default: those of 3.11, 3.12, 3.13 that are found, of pyenv too).
 set -eu
 
 checkout=$(cd "$(dirname "$0")/.." && pwd)
 [ $# -gt 0 ] || { echo "usage: scripts/wheels.sh FOLDER [PYTHON ...]" >&2; exit 2; }
+if [ -z "${TRIAL:-}" ] && ! (cd "$checkout" && .venv/bin/python -m studies evidence --release); then
+    echo "make evidence STUDY=NAME computes rows again; TRIAL=1 builds wheels that are not released" >&2
+    exit 1
+fi
 mkdir "$1"
 folder=$(cd "$1" && pwd)
 shift

@@ -36,6 +36,7 @@ RECIPES: dict[str, dict[str, Any]] = {
     },
 }  # fmt: skip
 EVERY = {"ppo": 160, "sac": 64}  # steps between checkpoints, short so that saving takes much of the time
+POLL_INTERVAL = 2e-4  # s; a saving takes milliseconds; to wait without a pause takes the time of a processor
 HEADS = ("fault", "tried", "survived", "lost")
 QUESTION = "What is lost if a training is killed, interrupted, started twice or runs on a full disk?"
 ANSWER = """**{survived} of {tried} trainings that were disturbed could be resumed, and all of these end bitwise
@@ -163,7 +164,7 @@ def _any_time(folder: Path, chance: random.Random) -> None:
 def _wait_for(happened: Callable[[], bool], longest: float = 60.0) -> None:
     end = time.perf_counter() + longest
     while not happened() and time.perf_counter() < end:
-        pass
+        time.sleep(POLL_INTERVAL)
 
 
 def _interrupted(name: str, recipe: Path, folder: Path, steps: int) -> Fault:

@@ -5,6 +5,7 @@ import csv
 import os
 from collections.abc import Sequence
 from dataclasses import fields
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -29,6 +30,8 @@ def folder(text: str) -> Path:
 
 Kind = TypeVar("Kind")
 COMMENT = "# "  # prefix of a comment line in a CSV file
+MADE = "; made "  # begins the part of a comment with the date of the rows, their number, and the hash of their code
+CODE = ", code "  # begins the hash
 WAITING = "waiting for new rows: "  # begins the reason in a comment for which the rows are no longer current
 
 
@@ -77,6 +80,29 @@ def read_comment(path: Path) -> str:
 def read_comments(*paths: Path) -> dict[str, str]:
     """Return file name -> comment of CSV files."""
     return {path.name: read_comment(path) for path in paths}
+
+
+def today() -> str:
+    """Return the date of today, as 2026-11-30."""
+    return datetime.now(UTC).date().isoformat()
+
+
+def made_comment(computer: str, date: str, rows: int) -> str:
+    """Return the comment of rows that are made: computer, date (2026-11-30) and number of rows."""
+    return f"{computer}{MADE}{date}, {rows} row{'s' * (rows != 1)}"
+
+
+def add_code(path: Path, code: str) -> None:
+    """Add the hash of the code to the comment of a CSV file that has the date of its rows."""
+    head, _, rows = path.read_text(encoding="utf-8").partition("\n")
+    if MADE in head:
+        path.write_text(f"{head.partition(CODE)[0]}{CODE}{code}\n{rows}", encoding="utf-8")
+
+
+def split_made(computer: str) -> tuple[str, str]:
+    """Return the computer of a comment without the rest, and the date of the rows; "" if it is not recorded."""
+    computer, _, made = computer.partition(MADE)
+    return computer, made.partition(",")[0]
 
 
 def split_waiting(comment: str) -> tuple[str, str]:

@@ -5,7 +5,7 @@ import textwrap
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
-from studies.files import split_waiting
+from studies.files import split_made, split_waiting
 
 HIDDEN = "---\nsearch:\n  exclude: true\n---\n\n"  # front matter that keeps a page out of the search
 PAGE = """# {title}
@@ -43,7 +43,8 @@ def screen(title: str, question: str, answer: str, body: str, rows: Mapping[str,
     """
     links = " and ".join(f"[{file}]({file})" for file in rows)
     parts = [split_waiting(comment) for comment in rows.values()]
-    computer = "; ".join(dict.fromkeys(each for each, _ in parts))
+    made = (split_made(each) for each, _ in parts)
+    computer = "; ".join(dict.fromkeys(f"{each}, {date}" if date else each for each, date in made))
     reasons = dict.fromkeys(reason for _, reason in parts if reason)
     answer = "\n\n".join([answer, *map(WAIT.format, reasons)])
     text = PAGE.format(title=title, question=question, answer=answer, body=body.strip("\n"), rows=links,

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 from flexman_gym.common.computer import computer_text
 from flexman_gym.common.parallel import Workers
-from studies.files import folder, read_comments, read_rows, write_rows
+from studies.files import folder, made_comment, read_comments, read_rows, today, write_rows
 
 
 class Table(NamedTuple):
@@ -89,7 +89,8 @@ class Study:
             measured.append(row)
         path = self._path(options.folder, table)
         path.parent.mkdir(parents=True, exist_ok=True)
-        write_rows(measured, path, table.digits, self.comment(options), table.kind)
+        comment = made_comment(self.comment(options), today(), len(measured))
+        write_rows(measured, path, table.digits, comment, table.kind)
 
     def draw(self, folder: Path) -> int:
         """Write charts and pages from the rows in a folder, print the summary, and return the exit status."""

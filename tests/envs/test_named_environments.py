@@ -1,6 +1,8 @@
 """Named environments: each id keeps the contracts and takes the same keywords everywhere; none is easy or fragile."""
 
 import inspect
+import subprocess
+import sys
 import warnings
 
 import gymnasium as gym
@@ -40,6 +42,19 @@ def episodes(name, count, act, **settings):
 def still(space):
     """No torque from the agent."""
     return np.zeros(space.shape, dtype=np.float32)
+
+
+@pytest.mark.slow
+def test_an_environment_is_read_at_its_first_use_and_once():
+    program = (
+        "import sys\nread = []\n"
+        "sys.addaudithook(lambda name, info: read.append(str(info[0])) if name == 'open' else None)\n"
+        "from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS as known\n"
+        "known['FlexOne-v0'], known['FlexOne-v0'], 'FlexDeck-v0' in known, sorted(known)\n"
+        "print(*(path.rpartition('/')[2] for path in read if path.endswith('-v0.yaml')))\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout == "FlexOne-v0.yaml\n"
 
 
 # Contracts

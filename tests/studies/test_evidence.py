@@ -1,7 +1,8 @@
-"""Tests of the age of evidence: what counts as a change of the code, and what is made again."""
+"""Tests of the age of evidence: what is noticed, what is made again, what a release refuses, what a page says."""
 
-import ast
 import json
+import os
+import shutil
 import subprocess
 from dataclasses import replace
 
@@ -11,129 +12,235 @@ import flexman_gym as fm
 from studies.evidence import (
     CURRENT,
     MISSING,
-    RECORD,
+    RECORDS,
     ROOT,
     STALE,
+    TRACES,
     UNKNOWN,
+    Checkout,
     EvidenceStudy,
-    hash_of,
     make,
-    read_record,
     studies,
 )
-from studies.files import read_comment
+from studies.files import MADE, add_code, made_comment, read_comment, split_made, today
+from studies.staleness import described, insert_notes, note, release_faults
 
-CODE = '"""Docstring."""\n\nFACTOR = 2.0  # of nothing\n\n\ndef double(x):\n    """Double."""\n    return FACTOR * x\n'
-COMMAND = 'open("rows.csv", "a").write("row\\n")\n'
+NUMBERS = "FACTOR = 2.0\n\n\ndef double(x):\n    return FACTOR * x\n"
+COMMAND = """from pathlib import Path
+
+from numbers_ import double
+
+def main():
+    Path("rows.csv").exists() and Path("rows.csv").read_text()
+    with open("rows.csv", "a") as file:
+        file.write(f"# computer, flexman_gym 0.2.0; made 2026-10-02, 1 row\\nx\\n{double(1.0)}\\n")
+
+main()
+"""
+DRAW = 'text = open("rows.csv").read()\nopen("docs/page.md", "a").write("page")\n'
 KNOWN = studies()
 
 
 @pytest.fixture
 def study(tmp_path):
     """Return a study in its own root, with a code file, and a command that appends a row."""
-    (tmp_path / "code").mkdir()
-    (tmp_path / "code" / "double.py").write_text(CODE)
+    (tmp_path / "numbers_.py").write_text(NUMBERS)
     (tmp_path / "write.py").write_text(COMMAND)
-    (tmp_path / RECORD).parent.mkdir(parents=True)
-    (tmp_path / RECORD).write_text("{}")
-    return EvidenceStudy("study", ["code"], ["rows.csv"], ["write.py"], 1.0)
+    (tmp_path / "draw.py").write_text(DRAW)
+    (tmp_path / "docs").mkdir()
+    return EvidenceStudy("study", ["rows.csv"], 1.0, ["write.py"])
 
 
 def rows(root):
     """Return the number of rows that were written."""
-    return (root / "rows.csv").read_text().count("row") if (root / "rows.csv").exists() else 0
+    return (root / "rows.csv").read_text().count("\nx\n") if (root / "rows.csv").exists() else 0
 
 
 def state(study, root):
     """Return the state of the rows."""
-    return study.rows_state(read_record(root).get(study.name, {}), root)
+    return Checkout(root, ()).rows_age(study).state
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "changed"),
-    [
-        ("return FACTOR * x", "return FACTOR + x", True),
-        ("FACTOR = 2.0", "FACTOR = 2.5", True),
-        ("# of nothing", "# another comment", False),
-        ('"""Double."""', '"""Return twice the number.\n\n    In two lines.\n    """', False),
-        ("\n\n\ndef", "\n\ndef", False),
-    ],
-)
-def test_only_a_change_of_code_makes_rows_stale(study, tmp_path, old, new, changed):
-    make(study, tmp_path)
-    assert state(study, tmp_path) == CURRENT
-    assert CODE.count(old) == 1
-    (tmp_path / "code" / "double.py").write_text(CODE.replace(old, new))
-    assert state(study, tmp_path) == (STALE if changed else CURRENT)
+def edit(path, old, new):
+    """Replace a text of a file."""
+    assert path.read_text().count(old) == 1
+    path.write_text(path.read_text().replace(old, new))
 
 
-def test_a_new_a_renamed_and_a_data_file_are_changes(study, tmp_path):
-    make(study, tmp_path)
-    (tmp_path / "code" / "data.csv").write_text("1\n")
-    with_data = hash_of(study.code, tmp_path)
-    assert state(study, tmp_path) == STALE
-    (tmp_path / "code" / "data.csv").write_text("2\n")
-    assert hash_of(study.code, tmp_path) != with_data
-    (tmp_path / "code" / "data.csv").unlink()
-    assert state(study, tmp_path) == CURRENT
-    (tmp_path / "code" / "double.py").rename(tmp_path / "code" / "twice.py")
-    assert state(study, tmp_path) == STALE
-
-
-def test_rows_without_a_record_are_unknown_and_absent_rows_missing(study, tmp_path):
-    assert state(study, tmp_path) == MISSING
-    (tmp_path / "rows.csv").write_text("")
-    assert state(study, tmp_path) == UNKNOWN
-
-
+@pytest.mark.slow
 def test_what_is_made_is_not_made_again_and_what_failed_is(study, tmp_path):
-    (tmp_path / "write.py").write_text(COMMAND + 'raise SystemExit("interrupted")\n')
+    assert state(study, tmp_path) == MISSING
+    edit(tmp_path / "write.py", "\nmain()\n", "\nmain()\nraise SystemExit('interrupted')\n")
     with pytest.raises(subprocess.CalledProcessError):
-        make(study, tmp_path)
-    assert state(study, tmp_path) == UNKNOWN and read_record(tmp_path) == {}
-    (tmp_path / "write.py").write_text(COMMAND)
+        make(study, tmp_path, neutral=())
+    assert state(study, tmp_path) == UNKNOWN and not (tmp_path / RECORDS).exists()
+    edit(tmp_path / "write.py", "raise SystemExit('interrupted')\n", "")
     for _ in range(2):
-        make(study, tmp_path)
+        make(study, tmp_path, neutral=())
         assert rows(tmp_path) == 2 and state(study, tmp_path) == CURRENT
-    assert read_record(tmp_path)["study"]["version"] == fm.__version__
-    (tmp_path / "code" / "double.py").write_text(CODE.replace("2.0", "3.0"))
-    make(study, tmp_path)
-    assert rows(tmp_path) == 3
+    edit(tmp_path / "numbers_.py", "2.0", "3.0")
+    age = Checkout(tmp_path, ()).rows_age(study)
+    assert age == (STALE, ["numbers_.py FACTOR"]) and described(age) == "older than its code: numbers_.py FACTOR"
+    make(study, tmp_path, neutral=())
+    assert rows(tmp_path) == 3 and state(study, tmp_path) == CURRENT
 
 
-def test_a_change_of_the_drawing_draws_and_keeps_the_rows(study, tmp_path):
-    drawn = replace(study, drawing=["draw.py"], drawn=["page.md"], redraw="draw.py")
-    (tmp_path / "draw.py").write_text('open("page.md", "a").write("page")\n')
-    (tmp_path / "write.py").write_text(COMMAND + 'open("page.md", "a").write("page")\n')
-    make(drawn, tmp_path)
-    make(drawn, tmp_path)
-    assert (rows(tmp_path), (tmp_path / "page.md").read_text()) == (1, "page")
-    (tmp_path / "draw.py").write_text('open("page.md", "a").write("PAGE")\n')
-    assert drawn.drawing_state(read_record(tmp_path)["study"], tmp_path) == STALE
-    make(drawn, tmp_path)
-    assert (rows(tmp_path), (tmp_path / "page.md").read_text()) == (1, "pagePAGE")
-    assert drawn.drawing_state(read_record(tmp_path)["study"], tmp_path) == CURRENT
+@pytest.mark.slow
+def test_rows_have_version_date_number_and_hash(study, tmp_path):
+    make(study, tmp_path, neutral=())
+    known = json.loads((tmp_path / RECORDS / "study.json").read_text())
+    assert known["version"] == fm.__version__ and known["date"] == today() and known["minutes"] >= 0.0
+    assert read_comment(tmp_path / "rows.csv").endswith(f"made 2026-10-02, 1 row, code {known['code']}")
+    edit(tmp_path / "numbers_.py", "2.0", "3.0")
+    (tmp_path / "rows.csv").unlink()
+    make(study, tmp_path, neutral=())
+    assert json.loads((tmp_path / RECORDS / "study.json").read_text())["code"] != known["code"]
 
 
+@pytest.mark.slow
+def test_an_interrupted_run_keeps_what_its_first_part_used_and_its_time(study, tmp_path):
+    """The second session computes only what is missing, here nothing that calls `double`."""
+    (tmp_path / "write.py").write_text(
+        "import os\nfrom numbers_ import double\n\n"
+        'if not os.path.exists("out/part"):\n    double(1.0)\n    open("out/part", "w").close()\n    os._exit(1)\n'
+        'open("rows.csv", "w").write("x\\n")\n'
+    )
+    with pytest.raises(subprocess.CalledProcessError):
+        make(study, tmp_path, neutral=())
+    (trace,) = (tmp_path / TRACES).glob("trace-study-*")
+    trace.write_text(trace.read_text() + "seconds\t120.0\t\t\n")
+    make(study, tmp_path, neutral=())
+    assert json.loads((tmp_path / RECORDS / "study.json").read_text())["minutes"] >= 2.0
+    edit(tmp_path / "numbers_.py", "FACTOR * x", "FACTOR + x")
+    assert Checkout(tmp_path, ()).rows_age(study) == (STALE, ["numbers_.py double"])
+
+
+@pytest.mark.slow
+def test_a_study_that_runs_what_is_missing_is_built_anew_in_a_folder_of_its_code(study, tmp_path):
+    (tmp_path / "write.py").write_text(
+        "import sys\nfrom pathlib import Path\nfrom numbers_ import double\n\n"
+        'file = Path(sys.argv[1], "rows.csv")\nfile.parent.mkdir(parents=True, exist_ok=True)\n'
+        "file.exists() or file.write_text(str(double(1.0)))\n"
+    )
+    built = replace(study, rows=["docs/rows.csv"], commands=["write.py out/{hash}"], built="out/{hash}")
+    for factor in ("2.0", "3.0"):
+        (tmp_path / "numbers_.py").write_text(NUMBERS.replace("2.0", factor))
+        (tmp_path / "agents").mkdir(exist_ok=True)
+        (tmp_path / "agents" / "code.yaml").write_text(factor)
+        make(built, tmp_path, neutral=())
+        assert (tmp_path / "docs" / "rows.csv").read_text() == factor and state(built, tmp_path) == CURRENT
+
+
+@pytest.mark.slow
+def test_a_change_of_the_drawing_or_of_the_rows_draws_and_keeps_the_rows(study, tmp_path):
+    drawn = replace(study, drawn=["docs/page.md"], redraw="draw.py")
+    (tmp_path / "docs" / "page.md").write_text("")
+    for _ in range(2):
+        make(drawn, tmp_path, neutral=())
+        assert (rows(tmp_path), (tmp_path / "docs" / "page.md").read_text()) == (1, "page")
+    edit(tmp_path / "draw.py", '"page"', '"PAGE"')
+    (tmp_path / "rows.csv").write_text((tmp_path / "rows.csv").read_text() + "1\n")
+    assert Checkout(tmp_path, ()).drawing_age(drawn) == (STALE, ["rows.csv"])
+    make(drawn, tmp_path, neutral=())
+    assert (rows(tmp_path), (tmp_path / "docs" / "page.md").read_text()) == (1, "pagePAGE")
+    assert Checkout(tmp_path, ()).drawing_age(drawn).state == CURRENT
+
+
+@pytest.mark.slow
 def test_pages_are_drawn_from_rows_whose_code_has_changed(study, tmp_path):
     """The rows keep their record, or remain without one."""
-    drawn = replace(study, drawing=["draw.py"], drawn=["page.md"], redraw="draw.py")
-    (tmp_path / "draw.py").write_text('open("page.md", "a").write("page")\n')
-    (tmp_path / "rows.csv").write_text("row\n")
-    make(drawn, tmp_path, rows=False)
-    assert (rows(tmp_path), (tmp_path / "page.md").read_text(), state(drawn, tmp_path)) == (1, "page", UNKNOWN)
-    make(drawn, tmp_path)
-    (tmp_path / "code" / "double.py").write_text(CODE.replace("2.0", "3.0"))
-    (tmp_path / "draw.py").write_text('open("page.md", "a").write("PAGE")\n')
-    make(drawn, tmp_path, rows=False)
-    assert (rows(tmp_path), (tmp_path / "page.md").read_text(), state(drawn, tmp_path)) == (2, "pagePAGE", STALE)
-    assert drawn.drawing_state(read_record(tmp_path)["study"], tmp_path) == CURRENT
+    drawn = replace(study, drawn=["docs/page.md"], redraw="draw.py")
+    (tmp_path / "docs" / "page.md").write_text("")
+    (tmp_path / "rows.csv").write_text("x\n")
+    make(drawn, tmp_path, rows=False, neutral=())
+    assert ((tmp_path / "docs" / "page.md").read_text(), state(drawn, tmp_path)) == ("page", UNKNOWN)
+    make(drawn, tmp_path, neutral=())
+    edit(tmp_path / "numbers_.py", "2.0", "3.0")
+    make(drawn, tmp_path, rows=False, neutral=())
+    assert (rows(tmp_path), state(drawn, tmp_path)) == (1, STALE)
+    assert Checkout(tmp_path, ()).drawing_age(drawn).state == CURRENT
 
 
+@pytest.mark.slow
+def test_code_of_processes_without_a_trace_is_hashed_whole(study, tmp_path):
+    (tmp_path / "unseen.py").write_text("A = 1\n")
+    whole = replace(study, code=["unseen.py"])
+    make(whole, tmp_path, neutral=())
+    edit(tmp_path / "unseen.py", "1", "1  # a comment")
+    assert state(whole, tmp_path) == CURRENT
+    edit(tmp_path / "unseen.py", "1 ", "2 ")
+    assert Checkout(tmp_path, ()).rows_age(whole) == (STALE, ["unseen.py"])
+
+
+@pytest.mark.slow
+def test_a_page_that_is_older_than_its_code_says_so_at_its_top(study, tmp_path):
+    drawn, site = replace(study, drawn=["docs/page.md"], redraw="draw.py"), tmp_path / "site"
+    (tmp_path / "docs" / "page.md").write_text("")
+    site.mkdir()
+    html = "<nav></nav><h1>Title</h1>\n<p>Answer.</p><h1>Part</h1>"
+    (site / "page.html").write_text(html)
+    make(drawn, tmp_path, neutral=())
+    assert insert_notes(Checkout(tmp_path, ()), [drawn], site) == [] and (site / "page.html").read_text() == html
+    edit(tmp_path / "numbers_.py", "FACTOR * x", "FACTOR + x")
+    since = f"version {fm.__version__} of {today()}"
+    text = f"These rows are older than the code: numbers_.py double changed since {since}."
+    assert insert_notes(Checkout(tmp_path, ()), [drawn], site) == [f"page.html: {text}"]
+    marked = f'<nav></nav><h1>Title</h1>\n<p class="old"><em>{text}</em></p>\n<p>Answer.</p><h1>Part</h1>'
+    assert (site / "page.html").read_text() == marked
+    (tmp_path / RECORDS / "study.json").unlink()
+    expected = "With which code these rows were computed is not recorded; they are of version 0.2.0."
+    assert note(Checkout(tmp_path, ()), drawn) == expected
+
+
+@pytest.mark.slow
+def test_a_release_refuses_old_rows_of_readme_and_home_and_very_old_rows_of_other_pages(study, tmp_path, monkeypatch):
+    (tmp_path / "scripts").mkdir()
+    (tmp_path / "readme.py").write_text('open("rows.csv").read()\n')
+    other = EvidenceStudy("other", ["other.csv"], 1.0, ["write.py"])
+    (tmp_path / "other.csv").write_text("# computer, flexman_gym 0.2.0\nx\n")
+    monkeypatch.setattr(fm, "__version__", "0.3.0")
+    make(study, tmp_path, neutral=())
+    assert release_faults(Checkout(tmp_path, ()), [study, other]) == []
+    edit(tmp_path / "numbers_.py", "2.0", "3.0")
+    (tmp_path / "other.csv").write_text("# computer, flexman_gym 0.1.0\nx\n")
+    assert release_faults(Checkout(tmp_path, ()), [study, other]) == [
+        "study, of README or home: older than its code: numbers_.py FACTOR",
+        "other: rows of version 0.1.0, more than one version old",
+    ]
+
+
+def test_wheels_of_a_release_are_not_built_with_old_numbers(tmp_path):
+    (tmp_path / "scripts").mkdir()
+    shutil.copy(ROOT / "scripts" / "wheels.sh", tmp_path / "scripts")
+    python = tmp_path / ".venv" / "bin" / "python"
+    python.parent.mkdir(parents=True)
+    command = [tmp_path / "scripts" / "wheels.sh", "wheels", "false"]  # `false` is no Python: a build stops there
+    for old, trial, built in ((1, "", False), (1, "1", True), (0, "", True)):
+        python.write_text(f'#!/bin/sh\n[ "$*" = "-m studies evidence --release" ] && exit {old}\nexit 2\n')
+        python.chmod(0o755)
+        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, env=os.environ | {"TRIAL": trial})
+        assert done.returncode == 1 and ("TRIAL=1 builds wheels" in done.stderr) == (not built)
+        assert (tmp_path / "wheels").exists() == built
+        shutil.rmtree(tmp_path / "wheels", ignore_errors=True)
+
+
+def test_a_comment_has_the_computer_the_date_the_number_of_rows_and_the_hash(tmp_path):
+    comment = made_comment("processor A, flexman_gym 0.2.0", "2026-11-30", 12)
+    assert comment == "processor A, flexman_gym 0.2.0; made 2026-11-30, 12 rows"
+    assert split_made(comment) == ("processor A, flexman_gym 0.2.0", "2026-11-30")
+    assert split_made("processor A") == ("processor A", "")
+    for first, expected in ((comment, f"{comment}, code b"), ("processor A", "processor A")):
+        (tmp_path / "rows.csv").write_text(f"# {first}\nx\n1\n")
+        for code in ("a", "b"):
+            add_code(tmp_path / "rows.csv", code)
+        assert (tmp_path / "rows.csv").read_text() == f"# {expected}\nx\n1\n"
+
+
+@pytest.mark.evidence
 @pytest.mark.parametrize("name", KNOWN)
 def test_files_and_commands_of_a_study_exist(name):
     study = KNOWN[name]
-    for pattern in (*study.code, *study.rows, *study.drawing, *study.drawn):
+    for pattern in (*study.code, *study.rows, *study.drawn):
         assert any(ROOT.glob(pattern)), pattern
     for command in (*study.commands, study.redraw):
         program, *words = command.split(" ")
@@ -141,32 +248,23 @@ def test_files_and_commands_of_a_study_exist(name):
         assert program in ("", "flexman") or (ROOT / file).is_file(), command
 
 
-OTHER = {"common", "draw"}  # packages of flexman_gym with files, processes and plots, which do not change numbers
-DRAWING = {"charts", "files", "markdown", "screen", "page"}  # modules of studies that do not change numbers
+@pytest.mark.evidence
+def test_files_that_change_no_result_exist():
+    assert all((ROOT / path).is_file() for path in Checkout().neutral)
 
 
-def imported(file):
-    """Return the modules that a Python file imports, with names that may be modules."""
-    nodes = [node for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))) if isinstance(node, ast.ImportFrom)]
-    return {name for node in nodes for name in (node.module, *(f"{node.module}.{each.name}" for each in node.names))}
-
-
-@pytest.mark.parametrize("name", KNOWN)
-def test_the_code_of_a_study_includes_what_it_imports(name):
-    paths = [path for pattern in KNOWN[name].code for path in ROOT.glob(pattern)]
-    code = {each for path in paths for each in (path.rglob("*.py") if path.is_dir() else [path])}
-    folders = {path.relative_to(ROOT).parts[1] for path in code if path.parts[len(ROOT.parts)] == "flexman_gym"}
-    for file in (each for each in code if each.suffix == ".py" and ROOT / "scripts" in each.parents):
-        modules = [module.split(".") for module in imported(file)]
-        assert {each[1] for each in modules if each[0] == "flexman_gym" and len(each) > 2} <= folders | OTHER, file
-        used = {ROOT.joinpath("scripts", *each).with_suffix(".py") for each in modules if each[0] == "studies"}
-        assert {each for each in used if each.exists() and each.stem not in DRAWING} <= code, file
-
-
-def test_the_record_has_the_versions_of_the_rows():
-    record = json.loads((ROOT / RECORD).read_text(encoding="utf-8"))
-    assert record.keys() == KNOWN.keys()
+@pytest.mark.evidence
+def test_records_are_small_and_those_of_studies_within_their_budgets():
+    paths = {path.stem: path for path in (ROOT / RECORDS).glob("*.json")}
+    assert paths.keys() <= KNOWN.keys() and sum(path.stat().st_size for path in paths.values()) < 1_500_000
     for name, study in KNOWN.items():
-        for path in (path for pattern in study.rows for path in ROOT.glob(pattern) if path.suffix == ".csv"):
-            if "flexman_gym" in (comment := read_comment(path)):
-                assert f"flexman_gym {record[name]['version']}" in comment, path
+        assert study.budget is None or Checkout().minutes(study) <= study.budget, name
+
+
+@pytest.mark.evidence
+@pytest.mark.parametrize("name", KNOWN)
+def test_a_record_has_version_and_hash_of_the_rows(name):
+    record = Checkout().record(name)
+    for path in (path for pattern in KNOWN[name].rows for path in ROOT.glob(pattern) if path.suffix == ".csv"):
+        if "code" in record and MADE in (comment := read_comment(path)):
+            assert comment.endswith(f", code {record['code']}") and f"flexman_gym {record['version']}" in comment

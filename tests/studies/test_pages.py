@@ -31,7 +31,7 @@ def texts(name):
 def test_a_published_page_is_made_of_its_rows(name):
     assert texts(name)
     for path, text in texts(name).items():
-        assert path.read_text(encoding="utf-8") == text, f"python -m studies {name} --redraw"
+        assert path.read_text(encoding="utf-8") == text, f"python -m studies evidence {name} --redraw"
 
 
 def test_the_page_of_planted_errors_is_made_of_its_rows():

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from studies.planted.measure import CAUGHT, EQUIVALENT, PARTS, SURVIVED, Change, Copy, changes, kept, misplaced
+from studies.files import write_rows
+from studies.planted.measure import CAUGHT, EQUIVALENT, PARTS, SURVIVED, Change, Copy, Planted, changes, kept, misplaced
 
 from oracles.assertions import refusal
 from oracles.files import command
@@ -83,5 +84,14 @@ def test_rows_with_an_old_column_name_are_refused_in_one_line(tmp_path):
 
 def test_the_part_is_chosen_by_its_option(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("sys.argv", ["plant", "--part", "model", "--only", "no such text", "--folder", str(tmp_path)])
+    assert command("plant").main() == 0
+    assert "no error matches" in capsys.readouterr().out
+
+
+def test_an_interrupted_run_goes_on_with_the_errors_that_it_has_not_tried(tmp_path, monkeypatch, capsys):
+    first = next(iter(PARTS["model"]))
+    write_rows([Planted(first.part, first.error, first.file, CAUGHT, "a test", 1.0)], tmp_path / "planted.csv")
+    call = ["plant", "--only", first.error, "--folder", str(tmp_path / "new"), "--kept", str(tmp_path)]
+    monkeypatch.setattr("sys.argv", call)
     assert command("plant").main() == 0
     assert "no error matches" in capsys.readouterr().out

@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from studies.files import WAITING, read_comment, split_waiting
+from studies.files import WAITING, made_comment, read_comment, split_waiting
 from studies.screen import MARK, index, screen
 
 from oracles.files import ROOT
@@ -32,6 +32,12 @@ def test_a_page_whose_rows_wait_for_new_ones_is_marked_below_its_answer_and_in_t
         (tmp_path / f"{name}.md").write_text(text, encoding="utf-8")
     items = dict(re.findall(r"\]\((\w+)\.md\): (.*)$", index(sorted(tmp_path.glob("*.md"))), re.MULTILINE))
     assert items == {"new": "Answer of 3 mm.", "old": f"Answer of 3 mm {MARK}."}
+
+
+def test_a_page_has_the_date_of_its_rows_once():
+    made = [made_comment(COMPUTER, "2026-11-30", number) for number in (3, 4)]
+    text = screen("Title", "Question?", "Answer.", "Body", {"a.csv": made[0], "b.csv": made[1]}, "study")
+    assert f"computed with {COMPUTER}, 2026-11-30. `make" in " ".join(text.split())
 
 
 @pytest.mark.evidence

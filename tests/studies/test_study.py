@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import pytest
 
 from studies.evidence import ROOT, studies
+from studies.files import made_comment, today
 from studies.study import Study, Table
 
 from oracles.files import STUDIES, runner
@@ -54,8 +55,9 @@ def measured(tmp_path):
 
 
 def test_page_chart_and_exit_status_are_those_of_the_stored_rows(measured):
-    assert (measured / "large.csv").read_text() == "# a computer\nnumber,square\n1.1e+02,1.2e+04\n"
-    files = {"small.csv": "a computer", "large.csv": "a computer"}
+    small, large = made_comment("a computer", today(), 2), made_comment("a computer", today(), 1)
+    assert (measured / "large.csv").read_text() == f"# {large}\nnumber,square\n1.1e+02,1.2e+04\n"
+    files = {"small.csv": small, "large.csv": large}
     assert (measured / "page.md").read_text() == f"12005, {files}"  # 1 + 4 + 12000, of two digits
     assert (measured / "chart").read_text() == "2 and 1"
 
@@ -63,7 +65,7 @@ def test_page_chart_and_exit_status_are_those_of_the_stored_rows(measured):
 def test_a_redrawn_page_has_the_rows_of_the_files(measured):
     (measured / "large.csv").write_text("# another computer\nnumber,square\n3,9\n")
     assert run(STUDY, "--redraw", "--folder", str(measured)) == 0
-    files = {"small.csv": "a computer", "large.csv": "another computer"}
+    files = {"small.csv": made_comment("a computer", today(), 2), "large.csv": "another computer"}
     assert (measured / "page.md").read_text() == f"14, {files}"
 
 
@@ -80,7 +82,7 @@ def test_rows_of_tables_that_are_not_chosen_are_neither_computed_nor_written(mea
 
 def test_a_table_without_rows_has_its_heads(tmp_path):
     run(Study((Table("none", Square),), lambda _: [()], comment=lambda _: "a computer"), "--folder", str(tmp_path))
-    assert (tmp_path / "none.csv").read_text() == "# a computer\nnumber,square\n"
+    assert (tmp_path / "none.csv").read_text() == f"# {made_comment('a computer', today(), 0)}\nnumber,square\n"
 
 
 @pytest.mark.slow

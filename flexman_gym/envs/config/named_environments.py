@@ -1,5 +1,6 @@
 """Named environments and their conditions, each a YAML file."""
 
+from collections import UserDict
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, Self
@@ -120,7 +121,17 @@ def _merged(old: object, change: object) -> object:
     return change
 
 
-NAMED_ENVIRONMENTS = {id: _NamedEnvironment.load(ENVIRONMENT_FOLDER / f"{id}.yaml") for id in IDS}
+class _NamedEnvironments(UserDict[str, Any]):
+    """Named environments by id, each of which is read at its first use, with the arms that it needs."""
+
+    def __getitem__(self, id: str) -> _NamedEnvironment:
+        if self.data[id] is None:
+            self.data[id] = _NamedEnvironment.load(ENVIRONMENT_FOLDER / f"{id}.yaml")
+        result: _NamedEnvironment = self.data[id]
+        return result
+
+
+NAMED_ENVIRONMENTS = _NamedEnvironments(dict.fromkeys(IDS))
 """Named environments: id -> default settings; each id has a file in ENVIRONMENT_FOLDER."""
 DEFAULT_ID = "FlexRRR-v0"  # environment of a configuration without an id
 

@@ -29,7 +29,7 @@ RUNNER = Study(
     pages={"faults.md": page},
     report=report,
     options={
-        "--kills": {"type": int, "nargs": 2, "default": (30, 15), "help": "kills per algorithm: saving, any time"},
+        "--kills": {"type": int, "nargs": 2, "default": (20, 10), "help": "kills per algorithm: saving, any time"},
         "--small": {"type": Path, "help": "empty file system of a few MB; default: no test of a full disk"},
     },
     comment=lambda _: computer_text(("torch",)),

@@ -1,0 +1,1 @@
+"""Folder that a traced program has in its path: see `sitecustomize`."""
