@@ -9,7 +9,8 @@ from flexman_gym.common.formatting import millimetres, percent
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation.metrics import MEDIAN, SHARE, Metric, limit_metrics, task_metrics
 from flexman_gym.evaluation.rollouts import EpisodeRecord
-from flexman_gym.metrics import median_interval, share_interval
+from flexman_gym.evaluation.shares import share_text
+from flexman_gym.metrics import median_interval
 from flexman_gym.simulation.methods import DEFAULT_METHOD
 
 MAX_NAME_LENGTH = 100  # characters of a name in the table
@@ -58,8 +59,7 @@ def _cell(metric: Metric, values: Array) -> str:
         return f"{middle} ({low} to {high})" if {low, high} != {middle} else middle
     result = metric.aggregate(values)
     if metric.statistic == SHARE:  # runs share their episodes, so that a share over them has no interval here
-        count = int(np.count_nonzero(values))
-        return percent(*share_interval(count, values.size)) if values.ndim == 1 else percent(result)
+        return share_text(result, values.size) if values.ndim == 1 else percent(result)
     return f"{result:.1f}" if abs(result) >= 10.0 else f"{result:.3f}"
 
 

@@ -76,7 +76,7 @@ PLACES = {  # quantity -> page -> pattern of its number
     "vibration of pd in FlexRRR-v0": {
         README: r"`pd`: [^|]*\|[^|]*\| 0 % \| (\d+) mm",
         RESULTS: r"`pd` \| FlexRRR-v0 .*?- \| (\d+) \|",
-        FAMILY: r"\| PD \| 0% \| - \| (\d+) mm",
+        FAMILY: r"\| PD \| 0 % \(.*?\) \| - \| (\d+) mm",
     },
     "settling time of lab-flexrrr in unknown-lab": {
         README: r"`lab-flexrrr`.*100 %, ([\d.]+) s",
@@ -86,8 +86,8 @@ PLACES = {  # quantity -> page -> pattern of its number
     "settling time of lqr-tracking in FlexRRR-v0": {
         README: r"`lqr-tracking`[^|]*\|[^|]*\| 100 %, ([\d.]+) s",
         RESULTS: r"`lqr-tracking` \| FlexRRR-v0 \|[^|]*\| 100 % \| ([\d.]+)",
-        GALLERY: r"^\| \[FlexRRR-v0\].*100% after ([\d.]+) s",
-        FAMILY: r"\| tracking LQR \| 100% \| ([\d.]+) s",
+        GALLERY: r"^\| \[FlexRRR-v0\].*100 % after ([\d.]+) s",
+        FAMILY: r"\| tracking LQR \| 100 % \(.*?\) \| ([\d.]+) s",
     },
     "RMS error of pd in FlexRRR-Track-v0": {
         RESULTS: r"`FlexRRR-Track-v0` \| (\d+) mm",
@@ -107,8 +107,14 @@ def test_a_number_is_the_same_on_all_pages(places):
 def test_the_number_of_episodes_on_a_page_is_that_of_its_rows(results):
     rows = read_rows(DOCS / "evidence" / "control.csv", ControlRow)
     text = control_page([replace(row, episodes=7 if row.episodes == 100 else row.episodes) for row in rows], results)
-    assert "of 7 or 100 episodes where no other number" in " ".join(text.split())
-    assert "have 40 episodes, each random arm 20" in " ".join(text.split())
+    words = " ".join(text.split())
+    assert "share of the 7 or 100 test episodes" in words
+    assert (
+        "| given: biased readings | 7 | 100 % (65 to 100) |" in words
+        and "| extreme: delay 3 | 40 |" in words
+        and "with 40 episodes for each value" in words
+    )
+    assert "20 episodes each: `privileged-lqr`" in words
 
 
 @pytest.mark.slow

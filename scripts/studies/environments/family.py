@@ -328,8 +328,8 @@ def _model_error(row: ModelError) -> list[str]:
     motors = any(not joint.passive for joint in NAMED_ENVIRONMENTS[row.environment].arm.joints)
     motion = "Random torques of up to half the limits" if motors else f"Swing from up to {SPREAD:g} rad"
     return paragraph(
-        f"{motion}: model error of the tip at most {length(row.model_largest)} within",
-        f"{DURATION:g} s, {length(row.steps_largest)} by the steps.",
+        f"{motion}: largest model error of the tip within {DURATION:g} s",
+        f"{length(row.model_largest)}, by the steps {length(row.steps_largest)}.",
     )
 
 
