@@ -129,4 +129,5 @@ def test_the_page_of_the_league_has_the_numbers_of_episodes_of_its_rows(results,
     league_page.write_page(LeagueRows(rows, results.standings.results.cells.values()), tmp_path)
     words = " ".join((tmp_path / league_page.PAGE).read_text(encoding="utf-8").split())
     assert "the same 100 episodes of each scenario (" in words and "`lqr` in `FlexRRR-v0`: 50" in words
+    assert "of shares of 100 episodes: " in words and "of shares of 6 episodes: " in words
     assert "at least 95 % of the 3 episodes settle" in words and "of the same 6 episodes in other simulations" in words
