@@ -9,11 +9,13 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 import yaml
 
+from flexman_gym.common.formatting import millimetres
 from flexman_gym.common.markdown import markdown_table
 from flexman_gym.envs.config.named_environments import DEFAULT_ID, NAMED_ENVIRONMENTS
 from flexman_gym.evaluation.agent_info import describe_agent
 from flexman_gym.evaluation.metrics import METRICS
 from flexman_gym.evaluation.policy_files import POLICIES
+from flexman_gym.evaluation.shares import intervals_text, share_text
 from flexman_gym.metrics import BAND, VIBRATION_WINDOW
 from flexman_gym.model.model import build_model
 from flexman_gym.model.vibration import modes
@@ -25,6 +27,7 @@ from flexman_gym.toolbox.precision.runs import PrecisionRow
 from flexman_gym.toolbox.verification.table import FAIL, PASS, VerificationRow
 from studies.benchmark.measure import BenchmarkRow
 from studies.control.cases import ControlRow
+from studies.control.page import share_over_arms
 from studies.environments.family import FAMILIES
 from studies.environments.measure import LONG_NAME, Baseline
 from studies.files import read_comment, read_rows, split_waiting
@@ -307,15 +310,21 @@ def _second_hub(sources: Sources) -> tuple[str]:
 
 
 def _random_arms(sources: Sources) -> tuple[str, str, str]:
-    """Return the number of random arms, the settled share of `adaptive-lqr` (%), and the arms with at least 90 %."""
+    """Return the number of random arms, the settled share of `adaptive-lqr`, and the arms with at least 90 %."""
     shares = [row.settled for row in sources.control if row.case.startswith("adaptive-lqr, random arm ")]
-    return str(len(shares)), f"{100.0 * np.mean(shares):.0f}", str(sum(share >= 0.9 for share in shares))
+    return str(len(shares)), share_over_arms(shares), str(sum(share >= 0.9 for share in shares))
 
 
-def _unmodelled_friction(sources: Sources) -> tuple[str]:
-    """Return the settled share of `adaptive-lqr` with friction that is in no model, %."""
+def _unmodelled_friction(sources: Sources) -> tuple[str, str]:
+    """Return the settled share of `adaptive-lqr` with friction that is in no model, and the number of episodes."""
     (row,) = (row for row in sources.control if row.case == "adaptive-lqr, unmodelled friction")
-    return (f"{100.0 * row.settled:.0f}",)
+    return share_text(row.settled, row.episodes), f"{row.episodes:.0f}"
+
+
+def _in_mujoco(sources: Sources) -> tuple[str, str]:
+    """Return the settled episodes of `lab-flexrrr` on the known arm in MuJoCo, and all of them."""
+    times = [*sources.standings.values("lab-flexrrr", f"{DEFAULT_ID}@mujoco", "settling_time").values()]
+    return str(np.count_nonzero(np.isfinite(times))), str(len(times))
 
 
 def _default_cost(sources: Sources) -> tuple[str, str, str]:
@@ -359,11 +368,11 @@ SENTENCES = (  # with numbers of stored rows
         _violations,
     ),
     Sentence(
-        r"with (\d+) random arms and uncertain parameters `adaptive-lqr` settles (\d+) % of the slews, "
+        r"with (\d+) random arms and uncertain parameters `adaptive-lqr` settles ([^)]*\)) of the slews, "
         r"and at least 90 % with (\d+) of the arms",
         _random_arms,
     ),
-    Sentence(r"\*\*Friction in no model\*\*: with it (\d+) % of the slews settle", _unmodelled_friction),
+    Sentence(r"\*\*Friction in no model\*\*: with it ([^)]*\)) of (\d+) slews settle", _unmodelled_friction),
     Sentence(
         r"errs by ([\d.]+) mm at ([\d.]+) ms of computing time per simulated second; "
         r"the quickest other simulator as accurate takes ([\d.]+) times as long",
@@ -374,6 +383,7 @@ SENTENCES = (  # with numbers of stored rows
 )
 DEFINITIONS = (  # with numbers of environments, metrics, cases of the verification, certificates and other plants
     Sentence(r"(\d+) of (\d+) exceed one of the limits", _exceeded),
+    Sentence(r"In MuJoCo `lab-flexrrr` settles in (\d+) of (\d+) episodes of the known arm", _in_mujoco),
     Sentence(r"(\w+) environments, vectorised simulation", _count_of_environments),
     Sentence(
         r"damping ratio of ([\d.]+) %, that of the arm below, the amplitude halves only after (\d+) periods", _halving
@@ -426,7 +436,7 @@ def readme(text: str, sources: Sources, settings: Path) -> str:
     """
     parts = {
         "badges": badges(yaml.safe_load(settings.read_text(encoding="utf-8"))),
-        "results": results(sources.standings),
+        "results": [*results(sources.standings), "", intervals_text(int(_medians(sources)[1]))],
         "environments": environments(),
     }
     for name, lines in parts.items():
@@ -481,10 +491,8 @@ def _cells(standings: Standings, agent: str, scenario: str) -> Iterable[str]:
     """Return share of settled episodes with the median settling time, and the median vibration."""
     settled, time = standings.settled(agent, scenario)
     values = np.array([*standings.values(agent, scenario, "vibration").values()])
-    vibration = 1e3 * METRICS["vibration"].aggregate(values)
     after = f", {-time:.2f} s" if np.isfinite(time) else ""
-    shown = f"{vibration:.0f}" if vibration >= 100.0 else f"{vibration:.1g}" if vibration < 1.0 else f"{vibration:.2g}"
-    return f"{100.0 * settled:.0f} %{after}", f"{shown} mm"
+    return f"{100.0 * settled:.0f} %{after}", millimetres(METRICS["vibration"].aggregate(values))
 
 
 def environments() -> list[str]:

@@ -151,7 +151,7 @@ def _opening(by_case: Mapping[str, ControlRow]) -> str:
     if friction and found:
         text += (f" With friction that is in no model the adaptive LQR settles "
                  f"{share_text(friction.settled, friction.episodes)}, with {len(found)} random arms "
-                 f"{_over_arms(found)}.")  # fmt: skip
+                 f"{share_over_arms(found)}.")  # fmt: skip
     return text
 
 
@@ -183,7 +183,7 @@ def _remarks(by_case: Mapping[str, ControlRow], ours: Mapping[str, ControlRow]) 
         lines.append("3 s after a change of the payload by 10 kg, "
                      f"{share_text(changed.again, changed.episodes)} of the arms are settled.")  # fmt: skip
     if random := {agent: found for agent in AGENTS[:2] if (found := _random_arms(by_case, agent))}:
-        shares = (f"`{agent}` settles {_over_arms(found)}, and at least 90 % with "
+        shares = (f"`{agent}` settles {share_over_arms(found)}, and at least 90 % with "
                   f"{sum(share >= 0.9 for share in found)} of the arms" for agent, found in random.items())  # fmt: skip
         count = min(map(len, random.values()))
         episodes = _counts(row for case, row in by_case.items() if FEWER[2] in case)
@@ -200,8 +200,8 @@ def _random_arms(by_case: Mapping[str, ControlRow], agent: str) -> list[float]:
     return [row.settled for case, row in by_case.items() if case.startswith(f"{agent}, random arm ")]
 
 
-def _over_arms(shares: Sequence[float]) -> str:
-    """Return the mean of the settled shares of arms with its bootstrap interval over the arms."""
+def share_over_arms(shares: Sequence[float]) -> str:
+    """Return the mean of the settled shares of arms in percent, with its bootstrap interval over the arms."""
     values = np.array(shares)
     return percent(float(mean(values)), *stratified_interval(values[:, None], mean))
 
