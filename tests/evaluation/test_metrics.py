@@ -142,3 +142,10 @@ def test_every_figure_stands_below_its_name():
         "failed": "33 % (6 to 79)",
     }  # fmt: skip
     assert "reward, roughness and effort are means" in caption
+
+
+def test_lengths_have_the_digits_that_count_and_an_interval_only_where_it_differs():
+    made = [record(100.0, 1.0, vibration, 0.123456, band=BAND) for vibration in (4e-8, 4e-8, 4e-8)]
+    head, line = metrics_table({"pd": made}, ONE).splitlines()[1:3]
+    result = dict(zip(re.split(r" {2,}", head), re.split(r" {2,}", line), strict=True))
+    assert (result["p-p, mm"], result["error, mm"], result["settling, s"]) == ("below 0.01", "123", "-")

@@ -123,8 +123,8 @@ N m. The errors are those of the method alone; the reference is `dop853` with th
 The method has no numerical damping: the amplitude of an undamped vibration of the linear arm neither decays nor
 grows, but oscillates by at most (omega h)^2 / 12, its energy by at most (omega h)^2 / 6 ([stability](stability.md)).
 Its correction of the phase error does not contain Coulomb friction or centrifugal softening. `gym.make("FlexRRR-v0",
-step=0.005)` shortens the step, and `fidelity="auto"` with a tolerance chooses anew: [choices](fidelity.md). The rows
-also have {others} other methods and steps."""
+step=0.005)` shortens the step, and `fidelity="auto"` with a tolerance chooses anew: [choices](fidelity.md). Rows of
+{others} more methods and steps are stored."""
 ACCURACY_HEADS = ("motion", "after", "energy within 2 % (95 % interval)", "tip, half of the arms", "90 %", "95 %")
 
 
