@@ -35,5 +35,11 @@ def millimetres(length: float) -> str:
 
 def percent(share: float, *interval: float) -> str:
     """Return a share in percent, with the bounds (low, high) of its interval in brackets if they are given."""
-    bounds = " to ".join(f"{100.0 * bound:.0f}" for bound in interval)
-    return f"{100.0 * share:.0f} %" + f" ({bounds})" * bool(interval)
+    bounds = " to ".join(map(percent_number, interval))
+    return f"{percent_number(share)} %" + f" ({bounds})" * bool(interval)
+
+
+def percent_number(share: float) -> str:
+    """Return a share in percent without sign; 0 and 100 are exact, other shares close to them have a decimal."""
+    text = f"{100.0 * share:.0f}"
+    return f"{100.0 * share:.1f}" if text in ("0", "100") and share not in (0.0, 1.0) else text

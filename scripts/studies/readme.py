@@ -254,7 +254,7 @@ def _steps(sources: Sources) -> tuple[str, str, str]:
     rows = [row for row in sources.benchmark if row.table == "environments" and row.threads == 1]
     one = next(row.cpu for row in rows if row.name == "FlexRRR-v0")
     many = min(row.cpu for row in rows if row.name == "FlexRRR-v0, vector environment")
-    one_text, many_text = (f"{float(f'{1.0 / each:.3g}'):,.0f}" for each in (one, many))
+    one_text, many_text = (f"{float(f'{1.0 / each:.2g}'):,.0f}" for each in (one, many))
     return one_text, many_text, sources.mark("benchmark.csv")
 
 

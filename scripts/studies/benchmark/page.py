@@ -73,7 +73,7 @@ def _is_shown(row: BenchmarkRow) -> bool:
 
 
 def _speed(seconds: float) -> str:
-    return number(float(f"{1 / seconds:.3g}"))
+    return number(float(f"{1 / seconds:.2g}"))
 
 
 def _ratio(times: float | None) -> str:
