@@ -28,8 +28,8 @@ from flexman_gym.toolbox.verification.table import FAIL, PASS, VerificationRow
 from studies.benchmark.measure import BenchmarkRow
 from studies.control.cases import ControlRow
 from studies.control.page import share_over_arms
-from studies.environments.family import FAMILIES
 from studies.environments.measure import LONG_NAME, Baseline
+from studies.environments.overview import environments
 from studies.files import read_comment, read_rows, split_waiting
 from studies.learning.measure import LearningRow
 from studies.machine.measure import CURRENT, FitRow
@@ -74,23 +74,6 @@ TITLES = {
     "planned": "LQR, slews optimised before they start",
     "privileged-lqr": "LQR that tracks a slew",
     "privileged-planned": "LQR, slews optimised in motion",
-}
-ARMS = {
-    "FlexRRR": "three flexible links, flexible joints, the paper's arm with heavier rotors and damping",
-    "FlexRRR-Gravity": "the same under gravity, stiffer joints",
-    "FlexPlanar": "two flexible links, flexible joints, vertical plane",
-    "FlexOne": "one flexible link, one flexible joint, the textbook case",
-    "FlexQuanser": "two flexible links, horizontal plane, a real machine",
-    "FlexRotary": "one flexible link, motor driven by its voltage",
-    "FlexCrane": "loader crane, two flexible booms, a load on a rope without motors",
-    "FlexTwoMass": "two masses and a spring, mass 2 measured",
-    "FlexGantry": "portal that travels, flexible bridge, a load on a rope, no motor",
-    "FlexDeck": "arm on the deck of a ship in a seaway, two flexible links",
-}
-TASKS = {
-    "Slew": "move to a target and settle",
-    "Track": "follow a path",
-    "Hold": "stay still under disturbances",
 }
 
 
@@ -208,9 +191,6 @@ class Sentence(NamedTuple):
             return whole
 
         return expression.sub(replaced, text)
-
-
-PAGES = {name: family.file for family in FAMILIES for name in family.environments}  # environment -> its page
 
 
 def _verification(sources: Sources) -> tuple[str, str]:
@@ -489,20 +469,5 @@ def given(agent: str) -> str:
 
 def _cells(standings: Standings, agent: str, scenario: str) -> Iterable[str]:
     """Return share of settled episodes with the median settling time, and the median vibration."""
-    settled, time = standings.settled(agent, scenario)
     values = np.array([*standings.values(agent, scenario, "vibration").values()])
-    after = f", {-time:.2f} s" if np.isfinite(time) else ""
-    return f"{100.0 * settled:.0f} %{after}", millimetres(METRICS["vibration"].aggregate(values))
-
-
-def environments() -> list[str]:
-    """Return the table of the named environments."""
-    rows = []
-    for name, each in NAMED_ENVIRONMENTS.items():
-        task = type(each.task).__name__
-        arm = name.removesuffix("-v0").removesuffix(f"-{task}")
-        reach = sum(link.length for link in each.arm.links)
-        rows.append((f"[`{name}`](docs/environments/{PAGES[name]}.md#{name.lower()})", ARMS[arm], f"{reach:.2g} m",
-                     f"{each.arm.payload.mass if each.arm.payload else 0:g} kg", f"{1.0 / each.control_period:.0f} Hz",
-                     TASKS[task]))  # fmt: skip
-    return markdown_table(("environment", "arm", "reach", "payload", "control", "task"), rows)
+    return standings.settling_text(agent, scenario), millimetres(METRICS["vibration"].aggregate(values))

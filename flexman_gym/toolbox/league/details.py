@@ -82,7 +82,7 @@ def _overall_table(standings: Standings) -> list[str]:
         trained = training_seconds(agent)
         rows.append([
             f"`{agent}`", describe_agent(agent).needs, _interval_text(standings.overall[agent]),
-            f"{count - len(standings.missed(agent))} of {count}", percent(*won) if won else "-",
+            f"{count - len(standings.missed(agent))} of {count}", _probability_text(won) if won else "-",
             number_text(action), number_text(1e-3 * start), "-" if trained is None else number_text(trained / 60.0),
         ])  # fmt: skip
     heads = ["agent", "given", "score", "scenarios", "better", "action, CPU us", "start, CPU ms", "training, CPU min"]
@@ -140,3 +140,9 @@ def _cell(metric: Metric, values: dict[int, float]) -> str:
 def _interval_text(numbers: Interval) -> str:
     middle, low, high = map(number_text, numbers)
     return middle if middle == low == high else f"{middle} ({low} to {high})"
+
+
+def _probability_text(numbers: Interval) -> str:
+    """Return a probability with its bootstrap interval, which says nothing where all episodes agree."""
+    middle, low, high = numbers
+    return percent(middle, low, high) if low < high else percent(middle)
