@@ -115,6 +115,7 @@ def test_the_number_of_episodes_on_a_page_is_that_of_its_rows(results):
         and "with 40 episodes for each value" in words
     )
     assert "20 episodes each: `privileged-lqr`" in words
+    assert all(f"(Wilson) of shares of {count} episodes" in words for count in (40, 100))
 
 
 @pytest.mark.slow
