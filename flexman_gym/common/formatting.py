@@ -30,4 +30,16 @@ def millimetres(length: float) -> str:
     """Return a length, m, in mm with its unit; "below 0.01 mm" for small ones."""
     if length < 1e-5:
         return "below 0.01 mm"
-    return f"{1e3 * length:.0f} mm" if length >= 0.1 else f"{1e3 * length:.2g} mm"
+    return f"{1e3 * length:.0f} mm" if length >= 0.0995 else f"{1e3 * length:.2g} mm"
+
+
+def percent(share: float, *interval: float) -> str:
+    """Return a share in percent, with the bounds (low, high) of its interval in brackets if they are given."""
+    bounds = " to ".join(map(percent_number, interval))
+    return f"{percent_number(share)} %" + f" ({bounds})" * bool(interval)
+
+
+def percent_number(share: float) -> str:
+    """Return a share in percent without sign; 0 and 100 are exact, other shares close to them have a decimal."""
+    text = f"{100.0 * share:.0f}"
+    return f"{100.0 * share:.1f}" if text in ("0", "100") and share not in (0.0, 1.0) else text

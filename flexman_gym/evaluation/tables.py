@@ -5,14 +5,16 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from flexman_gym.common.arrays import Array
+from flexman_gym.common.formatting import millimetres, percent
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation.metrics import MEDIAN, SHARE, Metric, limit_metrics, task_metrics
 from flexman_gym.evaluation.rollouts import EpisodeRecord
+from flexman_gym.evaluation.shares import share_text
 from flexman_gym.metrics import median_interval
 from flexman_gym.simulation.methods import DEFAULT_METHOD
 
 MAX_NAME_LENGTH = 100  # characters of a name in the table
-CAPTION = "medians with 95 % bootstrap intervals; shares, reward, roughness and effort are means"
+CAPTION = "medians and shares with 95 % intervals (bootstrap, Wilson); reward, roughness and effort are means"
 LIMIT_CAPTION = "violations: episodes of 1000; excess: largest of all, as a fraction of the limit; time: mean"
 ALL_SEEDS = "all seeds"  # name of the row over all training runs
 
@@ -34,7 +36,7 @@ def metrics_table(
     first = next(iter(results.values()))
     columns = (*task_metrics(environment.task), *limit_metrics(first[0]))
     settings = environment.given.keys() - ({"method"} if environment.method == DEFAULT_METHOD else set())
-    changes = ", ".join(sorted(settings)) or "as it is"
+    changes = ", ".join(sorted(settings)) or "default settings"
     title = f"{len(first)} episodes of {environment.id} ({changes}), the same for all"
     within = f"in {1e3 * first[0].band:.3g} mm"
     headers = ["agent", *(within if metric.name == "settled" else metric.header for metric in columns)]
@@ -53,14 +55,19 @@ def metrics_table(
 def _cell(metric: Metric, values: Array) -> str:
     """Return the aggregate of the numbers (N,) of N episodes, or (S, N) of S training runs, as text."""
     if metric.statistic == MEDIAN:
-        middle, low, high = (
-            f"{metric.scale * value:.3g}" if np.isfinite(value) else "-" for value in median_interval(values)
-        )
-        return f"{middle} ({low} to {high})"
+        middle, low, high = (_number(metric, value) for value in median_interval(values))
+        return f"{middle} ({low} to {high})" if {low, high} != {middle} else middle
     result = metric.aggregate(values)
-    if metric.statistic == SHARE:
-        return f"{result:.0%}"
+    if metric.statistic == SHARE:  # runs share their episodes, so that a share over them has no interval here
+        return share_text(result, values.size) if values.ndim == 1 else percent(result)
     return f"{result:.1f}" if abs(result) >= 10.0 else f"{result:.3f}"
+
+
+def _number(metric: Metric, value: float) -> str:
+    """Return a median in the unit of its header; lengths with the digits that count, "-" if not finite."""
+    if not np.isfinite(value):
+        return "-"
+    return millimetres(value).removesuffix(" mm") if metric.unit == "m" else f"{metric.scale * value:.3g}"
 
 
 def _shorten(name: str) -> str:

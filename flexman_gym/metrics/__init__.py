@@ -33,6 +33,7 @@ from flexman_gym.metrics.statistics import (
     normalised_scores,
     paired_score,
     performance_profile,
+    share_interval,
     stratified_interval,
     upper_median,
 )
@@ -62,6 +63,7 @@ __all__ = [
     "rms",
     "roughness",
     "settling_time",
+    "share_interval",
     "squared_acceleration",
     "stratified_interval",
     "upper_median",

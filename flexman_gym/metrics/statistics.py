@@ -1,4 +1,4 @@
-"""Statistics over episodes: medians, means, scores and their bootstrap intervals.
+"""Statistics over episodes: medians, means, scores and shares with their intervals.
 
 The methods follow Agarwal et al., Deep reinforcement learning at the edge of the statistical precipice, NeurIPS
 2021 (rliable). An array of scores (N, M) has the scores of one agent in N episodes on each of M environments. The
@@ -6,6 +6,7 @@ return of an episode is the sum of its rewards.
 """
 
 from collections.abc import Callable
+from statistics import NormalDist
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from flexman_gym.common.checks import finite, positive, whole_number
 from flexman_gym.common.errors import value_error
 from flexman_gym.metrics.signals import check_samples
 
+MAX_EPISODES = 10**9  # largest number of episodes of a share
 MAX_DRAWN = 10**8  # largest number of values in all bootstrap samples of an interval
 
 
@@ -50,6 +52,27 @@ def median_interval(values: Array, level: float = 0.95, draws: int = 2000) -> tu
     medians = np.sort(_medians(samples.reshape(draws, -1)))
     cut = round((1.0 - level) / 2.0 * (draws - 1))
     return upper_median(result.ravel()), float(medians[cut]), float(medians[-1 - cut])
+
+
+def share_interval(count: int, total: int, level: float = 0.95) -> tuple[float, float, float]:
+    """Return a share of independent episodes and the bounds (low, high) of its interval by Wilson (1927).
+
+    The bounds are the probabilities whose score test does not reject the share (Probable inference, the law of
+    succession, and statistical inference, J. Am. Stat. Assoc. 22, 209). The interval of 0 or all of the episodes is not
+    a point, as that of a bootstrap is.
+
+    Args:
+        count: number of episodes with a property, 0 to `total`.
+        total: number of all episodes.
+        level: probability of an interval that contains the true share, above 0 and below 1.
+    """
+    total = whole_number("total", total, 1, MAX_EPISODES)
+    count = whole_number("count", count, 0, total)
+    square = NormalDist().inv_cdf(0.5 * (1.0 + _checked_level(level))) ** 2
+    share, middle = count / total, (count + 0.5 * square) / (total + square)
+    half = np.sqrt(square * (share * (1.0 - share) * total + 0.25 * square)) / (total + square)
+    low, high = float(middle - half), float(middle + half)
+    return share, low if count else 0.0, high if count < total else 1.0  # exact ends, without rounding
 
 
 def _checked_level(level: float) -> float:

@@ -8,13 +8,15 @@ from typing import Any
 import numpy as np
 import yaml
 
+from flexman_gym.common.formatting import millimetres
 from flexman_gym.common.markdown import markdown_table
-from flexman_gym.envs.config.named_environments import DEFAULT_ID, NAMED_ENVIRONMENTS
+from flexman_gym.envs.config.named_environments import DEFAULT_ID
 from flexman_gym.evaluation.agent_info import describe_agent
 from flexman_gym.evaluation.metrics import METRICS
+from flexman_gym.evaluation.shares import intervals_text
 from flexman_gym.toolbox.league.standings import Standings
-from studies.environments.family import FAMILIES
-from studies.sentences import updated
+from studies.environments.overview import environments
+from studies.sentences import updated, window_and_episodes
 from studies.sources import Sources
 
 UNKNOWN = f"{DEFAULT_ID}/unknown"  # scenario with unknown payload and stiffness, and a delay
@@ -47,24 +49,6 @@ TITLES = {
     "privileged-lqr": "LQR that tracks a slew",
     "privileged-planned": "LQR, slews optimised in motion",
 }
-ARMS = {
-    "FlexRRR": "three flexible links, flexible joints, the paper's arm with heavier rotors and damping",
-    "FlexRRR-Gravity": "the same under gravity, stiffer joints",
-    "FlexPlanar": "two flexible links, flexible joints, vertical plane",
-    "FlexOne": "one flexible link, one flexible joint, the textbook case",
-    "FlexQuanser": "two flexible links, horizontal plane, a real machine",
-    "FlexRotary": "one flexible link, motor driven by its voltage",
-    "FlexCrane": "loader crane, two flexible booms, a load on a rope without motors",
-    "FlexTwoMass": "two masses and a spring, mass 2 measured",
-    "FlexGantry": "portal that travels, flexible bridge, a load on a rope, no motor",
-    "FlexDeck": "arm on the deck of a ship in a seaway, two flexible links",
-}
-TASKS = {
-    "Slew": "move to a target and settle",
-    "Track": "follow a path",
-    "Hold": "stay still under disturbances",
-}
-PAGES = {name: family.file for family in FAMILIES for name in family.environments}  # environment -> its page
 
 
 @cache
@@ -100,7 +84,7 @@ def readme(text: str, sources: Sources, settings: Path) -> str:
     """
     parts = {
         "badges": badges(yaml.safe_load(settings.read_text(encoding="utf-8"))),
-        "results": results(sources.standings),
+        "results": [*results(sources.standings), "", intervals_text(int(window_and_episodes(sources)[1]))],
         "environments": environments(),
     }
     for name, lines in parts.items():
@@ -153,22 +137,5 @@ def given(agent: str) -> str:
 
 def _cells(standings: Standings, agent: str, scenario: str) -> Iterable[str]:
     """Return share of settled episodes with the median settling time, and the median vibration."""
-    settled, time = standings.settled(agent, scenario)
     values = np.array([*standings.values(agent, scenario, "vibration").values()])
-    vibration = 1e3 * METRICS["vibration"].aggregate(values)
-    after = f", {-time:.2f} s" if np.isfinite(time) else ""
-    shown = f"{vibration:.0f}" if vibration >= 100.0 else f"{vibration:.1g}" if vibration < 1.0 else f"{vibration:.2g}"
-    return f"{100.0 * settled:.0f} %{after}", f"{shown} mm"
-
-
-def environments() -> list[str]:
-    """Return the table of the named environments."""
-    rows = []
-    for name, each in NAMED_ENVIRONMENTS.items():
-        task = type(each.task).__name__
-        arm = name.removesuffix("-v0").removesuffix(f"-{task}")
-        reach = sum(link.length for link in each.arm.links)
-        rows.append((f"[`{name}`](docs/environments/{PAGES[name]}.md#{name.lower()})", ARMS[arm], f"{reach:.2g} m",
-                     f"{each.arm.payload.mass if each.arm.payload else 0:g} kg", f"{1.0 / each.control_period:.0f} Hz",
-                     TASKS[task]))  # fmt: skip
-    return markdown_table(("environment", "arm", "reach", "payload", "control", "task"), rows)
+    return standings.settling_text(agent, scenario), millimetres(METRICS["vibration"].aggregate(values))

@@ -10,6 +10,7 @@ import numpy as np
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.named_environments import DEFAULT_ID, NAMED_ENVIRONMENTS
 from flexman_gym.evaluation.policy_files import POLICIES
+from flexman_gym.evaluation.shares import share_text
 from flexman_gym.metrics import BAND, VIBRATION_WINDOW
 from flexman_gym.model.model import build_model
 from flexman_gym.model.vibration import modes
@@ -17,6 +18,7 @@ from flexman_gym.scene import catalog
 from flexman_gym.toolbox.league.certificate_file import exceeded_limits
 from flexman_gym.toolbox.precision.charts import cheapest_equal
 from flexman_gym.toolbox.verification.table import FAIL, PASS
+from studies.control.page import share_over_arms
 from studies.environments.measure import LONG_NAME
 from studies.machine.measure import CURRENT
 from studies.markdown import number_word
@@ -100,7 +102,7 @@ def _steps(sources: Sources) -> tuple[str, str, str]:
     rows = [row for row in sources.benchmark if row.table == "environments" and row.threads == 1]
     one = next(row.cpu for row in rows if row.name == "FlexRRR-v0")
     many = min(row.cpu for row in rows if row.name == "FlexRRR-v0, vector environment")
-    one_text, many_text = (f"{float(f'{1.0 / each:.3g}'):,.0f}" for each in (one, many))
+    one_text, many_text = (f"{float(f'{1.0 / each:.2g}'):,.0f}" for each in (one, many))
     return one_text, many_text, sources.mark("benchmark.csv")
 
 
@@ -119,7 +121,7 @@ def _slew(sources: Sources) -> tuple[str, str]:
     return f"{1e3 * BAND * float(_reach(sources)[0]):.3g}", f"{NAMED_ENVIRONMENTS[DEFAULT_ID].horizon:g}"
 
 
-def _medians(sources: Sources) -> tuple[str, str]:
+def window_and_episodes(sources: Sources) -> tuple[str, str]:
     """Return the window of the vibration, s, and the number of test episodes."""
     return f"{VIBRATION_WINDOW:g}", str(len(sources.standings.values("pd", DEFAULT_ID, "reward")))
 
@@ -156,15 +158,21 @@ def _second_hub(sources: Sources) -> tuple[str]:
 
 
 def _random_arms(sources: Sources) -> tuple[str, str, str]:
-    """Return the number of random arms, the settled share of `adaptive-lqr` (%), and the arms with at least 90 %."""
+    """Return the number of random arms, the settled share of `adaptive-lqr`, and the arms with at least 90 %."""
     shares = [row.settled for row in sources.control if row.case.startswith("adaptive-lqr, random arm ")]
-    return str(len(shares)), f"{100.0 * np.mean(shares):.0f}", str(sum(share >= 0.9 for share in shares))
+    return str(len(shares)), share_over_arms(shares), str(sum(share >= 0.9 for share in shares))
 
 
-def _unmodelled_friction(sources: Sources) -> tuple[str]:
-    """Return the settled share of `adaptive-lqr` with friction that is in no model, %."""
+def _unmodelled_friction(sources: Sources) -> tuple[str, str]:
+    """Return the settled share of `adaptive-lqr` with friction that is in no model, and the number of episodes."""
     (row,) = (row for row in sources.control if row.case == "adaptive-lqr, unmodelled friction")
-    return (f"{100.0 * row.settled:.0f}",)
+    return share_text(row.settled, row.episodes), f"{row.episodes:.0f}"
+
+
+def _in_mujoco(sources: Sources) -> tuple[str, str]:
+    """Return the settled episodes of `lab-flexrrr` on the known arm in MuJoCo, and all of them."""
+    times = [*sources.standings.values("lab-flexrrr", f"{DEFAULT_ID}@mujoco", "settling_time").values()]
+    return str(np.count_nonzero(np.isfinite(times))), str(len(times))
 
 
 def _default_cost(sources: Sources) -> tuple[str, str, str]:
@@ -229,11 +237,11 @@ SENTENCES = (  # with numbers of stored rows
         _violations,
     ),
     Sentence(
-        r"with (\d+) random arms and uncertain parameters `adaptive-lqr` settles (\d+) % of the slews, "
+        r"with (\d+) random arms and uncertain parameters `adaptive-lqr` settles ([^)]*\)) of the slews, "
         r"and at least 90 % with (\d+) of the arms",
         _random_arms,
     ),
-    Sentence(r"\*\*Friction in no model\*\*: with it (\d+) % of the slews settle", _unmodelled_friction),
+    Sentence(r"\*\*Friction in no model\*\*: with it ([^)]*\)) of (\d+) slews settle", _unmodelled_friction),
     Sentence(
         r"errs by ([\d.]+) mm at ([\d.]+) ms of computing time per simulated second; "
         r"the quickest other simulator as accurate takes ([\d.]+) times as long",
@@ -247,6 +255,7 @@ DEFINITIONS = (  # with numbers of environments, metrics, cases of the verificat
     Sentence(r"observation \| (\d+) numbers", _interface),
     Sentence(r"action \| (\d+) motor torques as fractions of ([\d.]+) N m, (\d+) times per second", _action),
     Sentence(r"(\d+) of (\d+) exceed one of the limits", _exceeded),
+    Sentence(r"In MuJoCo `lab-flexrrr` settles in (\d+) of (\d+) episodes of the known arm", _in_mujoco),
     Sentence(r"(\w+) environments, vectorised simulation", _count_of_environments),
     Sentence(
         r"damping ratio of ([\d.]+) %, that of the arm below, the amplitude halves only after (\d+) periods", _halving
@@ -254,7 +263,7 @@ DEFINITIONS = (  # with numbers of environments, metrics, cases of the verificat
     Sentence(r"agrees to better than a micrometre \(([\d.]+) mm\)", _agreement),
     Sentence(r"within (\d+) s the tip of a large-rotation model", _duration),
     Sentence(r"the tip of the ([\d.]+) m arm of `FlexRRR-v0`", _reach),
-    Sentence(r"\(peak to peak in the last ([\d.]+) s\) are medians of (\d+) test episodes", _medians),
+    Sentence(r"\(peak to peak in the last ([\d.]+) s\) are medians of (\d+) test episodes", window_and_episodes),
     Sentence(r"within ([\d.]+) mm of its target until the end of the episode of ([\d.]+) s", _slew),
 )
 

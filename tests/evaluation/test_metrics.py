@@ -106,7 +106,7 @@ def test_the_row_of_all_seeds_has_the_metrics_over_all_runs():
     title, head, *lines, caption, second = metrics_table(runs, ONE, all_seeds=True).splitlines()
     cells = [dict(zip(re.split(r" {2,}", head), re.split(r" {2,}", line), strict=True)) for line in lines]
     assert [cell["agent"] for cell in cells] == ["seed-0", "seed-1", "all seeds"]
-    assert [cell["settling, s"] for cell in cells] == ["1 (1 to 1)", "2 (2 to 2)", "2 (1 to 2)"]
+    assert [cell["settling, s"] for cell in cells] == ["1", "2", "2 (1 to 2)"]
     assert [cell["reward"] for cell in cells] == ["1.000", "2.000", "1.500"]
     assert second == "all seeds: intervals of a hierarchical bootstrap over 2 training runs and episodes"
     others = [line.split() for line in (title, head, *lines[:2], caption)]
@@ -117,11 +117,11 @@ def test_the_head_says_on_which_environment_all_rows_were_run():
     title, head, *_ = rows(["pd"])
     assert title == "3 episodes of FlexOne-v0 (horizon), the same for all"
     assert f"in {1e3 * BAND:.3g} mm" in head, "the band is a part of the reach"
-    assert "(as it is)" in metrics_table({"pd": [record()]}, Configuration())
+    assert "(default settings)" in metrics_table({"pd": [record()]}, Configuration())
 
 
 def test_what_has_not_settled_is_a_dash():
-    assert "- (- to -)" in rows(["pd"], settled=np.inf)[2]
+    assert re.split(r" {2,}", rows(["pd"], settled=np.inf)[2])[3] == "-"
 
 
 def test_a_task_that_does_not_settle_is_evaluated_by_its_rms_error():
@@ -137,8 +137,15 @@ def test_every_figure_stands_below_its_name():
     head, line, caption = metrics_table({"pd": made}, ONE).splitlines()[1:4]
     result = dict(zip(re.split(r" {2,}", head), re.split(r" {2,}", line), strict=True))
     assert result == {
-        "agent": "pd", "reward": "100.0", f"in {1e3 * BAND:.3g} mm": "67%", "settling, s": "3.5 (2.5 to -)",
+        "agent": "pd", "reward": "100.0", f"in {1e3 * BAND:.3g} mm": "67 % (21 to 94)", "settling, s": "3.5 (2.5 to -)",
         "p-p, mm": "2 (1 to -)", "error, mm": "0.5 (0.4 to 0.6)", "roughness": "0.000", "effort": "0.250",
-        "failed": "33%",
+        "failed": "33 % (6 to 79)",
     }  # fmt: skip
     assert "reward, roughness and effort are means" in caption
+
+
+def test_lengths_have_the_digits_that_count_and_an_interval_only_where_it_differs():
+    made = [record(100.0, 1.0, vibration, 0.123456, band=BAND) for vibration in (4e-8, 4e-8, 4e-8)]
+    head, line = metrics_table({"pd": made}, ONE).splitlines()[1:3]
+    result = dict(zip(re.split(r" {2,}", head), re.split(r" {2,}", line), strict=True))
+    assert (result["p-p, mm"], result["error, mm"], result["settling, s"]) == ("below 0.01", "123", "-")

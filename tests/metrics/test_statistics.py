@@ -1,4 +1,4 @@
-"""Statistics over episodes: medians, scores and their bootstrap intervals."""
+"""Statistics over episodes: medians, scores and shares with their intervals."""
 
 from math import comb
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.stats import trim_mean
+from scipy.stats import norm, trim_mean
 
 from flexman_gym.metrics import (
     improvements,
@@ -16,6 +16,7 @@ from flexman_gym.metrics import (
     normalised_scores,
     paired_score,
     performance_profile,
+    share_interval,
     stratified_interval,
 )
 
@@ -26,6 +27,24 @@ def test_the_interval_of_equal_values_is_that_value_also_where_it_is_infinite():
     assert median_interval(np.full(20, 3.0)) == (3.0, 3.0, 3.0)
     assert median_interval(np.full(20, np.inf)) == (np.inf, np.inf, np.inf)
     assert median_interval(np.array([2.0])) == (2.0, 2.0, 2.0)
+
+
+@pytest.mark.parametrize(("count", "total"), [(0, 10), (10, 10), (4, 10), (72, 100), (1, 2720)])
+def test_the_bounds_of_a_share_are_the_probabilities_that_a_score_test_just_accepts(count, total):
+    """Wilson's equation: (share - p)^2 = z^2 p (1 - p) / n at both bounds p, with z of the normal distribution."""
+    share, low, high = share_interval(count, total)
+    assert share == count / total and 0.0 <= low <= share <= high <= 1.0
+    for bound in {low, high} - {0.0, 1.0}:
+        assert (share - bound) ** 2 == pytest.approx(norm.ppf(0.975) ** 2 * bound * (1.0 - bound) / total)
+    assert (low == 0.0) == (count == 0) and (high == 1.0) == (count == total), "a share of all is not certain"
+
+
+def test_the_interval_of_a_share_is_the_mirror_of_that_of_the_rest_and_narrow_at_a_low_level():
+    share, low, high = share_interval(7, 20)
+    assert (1.0 - share, 1.0 - high, 1.0 - low) == pytest.approx(share_interval(13, 20))
+    assert low < share_interval(7, 20, level=0.5)[1] < share < share_interval(7, 20, level=0.5)[2] < high
+    for count, total in ((-1, 10), (11, 10), (1, 0), (0.5, 10)):
+        assert "whole number" in refusal(lambda count=count, total=total: share_interval(count, total))
 
 
 @pytest.mark.slow

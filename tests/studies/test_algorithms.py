@@ -178,10 +178,9 @@ def test_the_page_names_the_fastest_and_whether_the_intervals_overlap():
     assert "overlap" not in sentence
     assert ", intervals overlap;" in algorithms_page.comparison([*rows, row("tqc", 1.0, 2.0, [2.4] * 3)])
     text = algorithms_page.page([*rows, row("planned")], {"algorithms.csv": "a computer"})
-    assert "| PPO (1) | 100 % | 100 % | 100 % |" in text
-    assert "| `planned` |  |  |  | 100 %, 3.00 s (2.00 to 4.00) |" in text and "about 40 minutes: earlier" in " ".join(
-        text.split()
-    )
+    assert "| PPO (1) | 100 % (44 to 100) | 100 % (44 to 100) | 100 % (44 to 100) |" in text
+    assert "| `planned` |  |  |  | 100 % (44 to 100), 3.00 s (2.00 to 4.00) |" in text
+    assert "about 40 minutes: earlier" in " ".join(text.split())
     text = algorithms_page.page([*rows, row("sac", 1.0, 40.0, cpu=2040.0)], {"algorithms.csv": "a computer"})
     assert "after about 40 minutes (here 34 to 34): earlier" in " ".join(text.split())
     assert algorithms_page.comparison(rows[:3]) == "Not all algorithms have rows yet."

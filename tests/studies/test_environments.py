@@ -9,6 +9,7 @@ import pytest
 import flexman_gym as fm
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.envs.tasks import TASKS
+from flexman_gym.evaluation.shares import share_text
 from studies.environments.family import FAMILIES
 from studies.environments.measure import BASELINES, LONG_NAME, SEEDS, accuracy, baseline_rows, run
 from studies.environments.text import SECTIONS, baseline_table, docstring_sections, length
@@ -85,13 +86,13 @@ def test_metrics_of_a_task_without_settling_are_those_of_its_records():
     for row, each in zip(rows, runs.values(), strict=True):
         error = np.quantile(np.sqrt(np.nanmean(each.errors**2, axis=1)), 0.5, method="higher")
         failed = np.mean([failure != "" for failure in each.failures])
-        assert f"| {row.baseline} | {length(error)} | {failed:.0%} |" in table
+        assert f"| {row.baseline} | {length(error)} | {share_text(failed, len(SEEDS))} |" in table
     assert rows[2].rms_error < rows[1].rms_error < rows[0].rms_error
 
 
 def test_lengths_have_units_that_a_reader_can_imagine():
-    assert [length(value) for value in (12.53, 1.0, 0.4567, 1e-6, 4e-7, 0.0, np.inf)] == [
-        "12.5 m", "1 m", "457 mm", "0.001 mm", "< 0.001 mm", "0 mm", "-",
+    assert [length(value) for value in (12.53, 1.0, 0.4567, 1e-3, 4e-7, 0.0, np.inf)] == [
+        "12.5 m", "1 m", "457 mm", "1 mm", "below 0.01 mm", "below 0.01 mm", "-",
     ]  # fmt: skip
 
 

@@ -44,8 +44,9 @@ def test_the_page_of_planted_errors_is_made_of_its_rows():
 def test_a_page_of_evidence_fits_a_screen(name):
     text = (EVIDENCE / f"{name}.md").read_text(encoding="utf-8")
     assert text.startswith(HIDDEN) and "flexman_gym 0." in " ".join(text.split())
-    table = [line for line in text.splitlines() if line.startswith("|")]
-    prose = text.removeprefix(HIDDEN).replace("\n".join(table), "")
+    lines = text.removeprefix(HIDDEN).splitlines()
+    table = [line for line in lines if line.startswith("|")]
+    prose = "\n".join(line for line in lines if not line.startswith("|"))
     assert len(prose.split()) <= WORDS and len(table) <= 2 + TABLE_ROWS and text.count("](") - CHARTS <= 8
     assert prose.count("![") <= CHARTS and max(len(line) for line in prose.splitlines() if line[:2] != "![") <= 120
 

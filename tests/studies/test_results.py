@@ -76,7 +76,7 @@ PLACES = {  # quantity -> page -> pattern of its number
     "vibration of pd in FlexRRR-v0": {
         README: r"`pd`: [^|]*\|[^|]*\| 0 % \| (\d+) mm",
         RESULTS: r"`pd` \| FlexRRR-v0 .*?- \| (\d+) \|",
-        FAMILY: r"\| PD \| 0% \| - \| (\d+) mm",
+        FAMILY: r"\| PD \| 0 % \(.*?\) \| - \| (\d+) mm",
     },
     "settling time of lab-flexrrr in unknown-lab": {
         README: r"`lab-flexrrr`.*100 %, ([\d.]+) s",
@@ -86,8 +86,8 @@ PLACES = {  # quantity -> page -> pattern of its number
     "settling time of lqr-tracking in FlexRRR-v0": {
         README: r"`lqr-tracking`[^|]*\|[^|]*\| 100 %, ([\d.]+) s",
         RESULTS: r"`lqr-tracking` \| FlexRRR-v0 \|[^|]*\| 100 % \| ([\d.]+)",
-        GALLERY: r"^\| \[FlexRRR-v0\].*100% after ([\d.]+) s",
-        FAMILY: r"\| tracking LQR \| 100% \| ([\d.]+) s",
+        GALLERY: r"^\| \[FlexRRR-v0\].*100 % after ([\d.]+) s",
+        FAMILY: r"\| tracking LQR \| 100 % \(.*?\) \| ([\d.]+) s",
     },
     "RMS error of pd in FlexRRR-Track-v0": {
         RESULTS: r"`FlexRRR-Track-v0` \| (\d+) mm",
@@ -107,8 +107,15 @@ def test_a_number_is_the_same_on_all_pages(places):
 def test_the_number_of_episodes_on_a_page_is_that_of_its_rows(results):
     rows = read_rows(DOCS / "evidence" / "control.csv", ControlRow)
     text = control_page([replace(row, episodes=7 if row.episodes == 100 else row.episodes) for row in rows], results)
-    assert "of 7 or 100 episodes where no other number" in " ".join(text.split())
-    assert "have 40 episodes, each random arm 20" in " ".join(text.split())
+    words = " ".join(text.split())
+    assert "share of the 7 or 100 test episodes" in words
+    assert (
+        "| given: biased readings | 7 | 100 % (65 to 100) |" in words
+        and "| extreme: delay 3 | 40 |" in words
+        and "with 40 episodes for each value" in words
+    )
+    assert "20 episodes each: `privileged-lqr`" in words
+    assert all(f"(Wilson) of shares of {count} episodes" in words for count in (40, 100))
 
 
 @pytest.mark.slow
@@ -123,4 +130,5 @@ def test_the_page_of_the_league_has_the_numbers_of_episodes_of_its_rows(results,
     league_page.write_page(LeagueRows(rows, results.standings.results.cells.values()), tmp_path)
     words = " ".join((tmp_path / league_page.PAGE).read_text(encoding="utf-8").split())
     assert "the same 100 episodes of each scenario (" in words and "`lqr` in `FlexRRR-v0`: 50" in words
+    assert "of shares of 100 episodes: " in words and "of shares of 6 episodes: " in words
     assert "at least 95 % of the 3 episodes settle" in words and "of the same 6 episodes in other simulations" in words

@@ -5,12 +5,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from flexman_gym.common.errors import value_error
-from flexman_gym.common.formatting import number_text
+from flexman_gym.common.formatting import number_text, percent
 from flexman_gym.common.markdown import markdown_table
 from flexman_gym.envs.config.named_environments import DEFAULT_ID
 from flexman_gym.evaluation.agent_info import describe_agent, training_seconds
 from flexman_gym.evaluation.metrics import LIMIT_METRICS, MEDIAN, SHARE, Metric, task_metrics
-from flexman_gym.metrics import mean, median_interval, stratified_interval
+from flexman_gym.evaluation.shares import share_text
+from flexman_gym.metrics import median_interval
 from flexman_gym.simulation.physical_parameters import PARAMETERS
 from flexman_gym.toolbox.league.rows import DAMPING, TIME_RATIO, optimised_settling_times
 from flexman_gym.toolbox.league.scenarios import GIVEN, SWEEPS, find_scenario
@@ -81,7 +82,7 @@ def _overall_table(standings: Standings) -> list[str]:
         trained = training_seconds(agent)
         rows.append([
             f"`{agent}`", describe_agent(agent).needs, _interval_text(standings.overall[agent]),
-            f"{count - len(standings.missed(agent))} of {count}", _share_text(won) if won else "-",
+            f"{count - len(standings.missed(agent))} of {count}", _probability_text(won) if won else "-",
             number_text(action), number_text(1e-3 * start), "-" if trained is None else number_text(trained / 60.0),
         ])  # fmt: skip
     heads = ["agent", "given", "score", "scenarios", "better", "action, CPU us", "start, CPU ms", "training, CPU min"]
@@ -133,7 +134,7 @@ def _cell(metric: Metric, values: dict[int, float]) -> str:
         return _interval_text(median_interval(numbers))
     if metric.statistic != SHARE:
         return number_text(metric.aggregate(numbers))
-    return _share_text((float(numbers.mean()), *stratified_interval(numbers[:, None], mean)))
+    return share_text(float(numbers.mean()), len(numbers))
 
 
 def _interval_text(numbers: Interval) -> str:
@@ -141,6 +142,7 @@ def _interval_text(numbers: Interval) -> str:
     return middle if middle == low == high else f"{middle} ({low} to {high})"
 
 
-def _share_text(numbers: Interval) -> str:
-    middle, low, high = (f"{100.0 * each:.0f}" for each in numbers)
-    return f"{middle} %" if low == high else f"{middle} % ({low} to {high})"
+def _probability_text(numbers: Interval) -> str:
+    """Return a probability with its bootstrap interval, which says nothing where all episodes agree."""
+    middle, low, high = numbers
+    return percent(middle, low, high) if low < high else percent(middle)

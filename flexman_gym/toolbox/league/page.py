@@ -13,6 +13,7 @@ from flexman_gym.common.markdown import markdown_table
 from flexman_gym.envs.config.named_environments import DEFAULT_ID, NAMED_ENVIRONMENTS
 from flexman_gym.evaluation.agent_info import INFORMATION, describe_agent
 from flexman_gym.evaluation.agent_spec import SIMPLE_AGENTS
+from flexman_gym.evaluation.shares import intervals_text
 from flexman_gym.metrics.signals import BAND
 from flexman_gym.toolbox.league.charts import CHART, SWEEP_CHART, draw_charts
 from flexman_gym.toolbox.league.details import (
@@ -42,6 +43,7 @@ The best agents for each kind of information that they are given, with the share
 settling time. *Action* is the CPU time for one action of one arm, of {block} simulated together, as the median over the
 scenarios. Agents with *true state and parameters* are oracles: they are given the true parameters or, as `optimised`,
 the nominal model and the starts and goals of the episodes in advance.
+{intervals}
 
 {choice}
 
@@ -73,6 +75,8 @@ scenario, the data of an agent, a sweep (`{known}/payload=`), or the scores (`ov
 LIMITS = """Values of a parameter at which at least {well:.0f} % of the {sweep} settle. *Given* is the range for which
 the controllers are designed; outside of it their model is wrong. The last rows are the settled shares, %, of the same
 {plant} in other simulations, of which the controllers are not informed.
+
+{intervals}
 
 {table}
 
@@ -112,6 +116,7 @@ def _page_text(standings: Standings) -> str:
     return TEXT.format(
         episodes=_count_text(max(_counts(standings, standings.scenarios).values(), default=0)),
         few=_fewer(standings),
+        intervals=_intervals(standings, standings.scenarios),
         known=KNOWN,
         oracle=REFERENCE_AGENTS[1],
         reach=reach,
@@ -134,6 +139,12 @@ def _counts(standings: Standings, scenarios: Iterable[str]) -> dict[tuple[str, s
 
 def _count_text(*counts: int) -> str:
     return f"{' or '.join(str(count) for count in sorted(set(counts))) or 'no'} episodes"
+
+
+def _intervals(standings: Standings, scenarios: Iterable[str]) -> str:
+    """Return the sentence on the intervals of shares of the most episodes of scenarios; "" without rows."""
+    most = max(_counts(standings, scenarios).values(), default=0)
+    return intervals_text(most) if most else ""
 
 
 def _fewer(standings: Standings) -> str:
@@ -211,13 +222,19 @@ def _limits(standings: Standings) -> str:
             [f"`{short_name(names[0])}` {heads}", "-", *(_on_plants(standings, each, names) for each in agents)]
         )
     table = markdown_table(["swept", "given", *(f"`{each}`" for each in agents)], rows)
-    swept = (each for values in standings.sweeps.values() for each in values)
-    others = (each for names in standings.plants.values() for each in names[1:])
+    swept = [each for values in standings.sweeps.values() for each in values]
+    others = [each for names in standings.plants.values() for each in names[1:]]
     sweep, plant = (_count_text(*_counts(standings, scenarios).values()) for scenarios in (swept, others))
     chart = SWEEPS.format(chart=SWEEP_CHART, sweep=sweep) if standings.sweeps else ""
     plants = fill("; ".join(f"*@{name}*: {text}" for name, (text, _) in PLANTS.items()) + ".", 118)
     return LIMITS.format(
-        well=100.0 * WELL, sweep=sweep, plant=plant, table="\n".join(table), plants=plants, chart=chart
+        well=100.0 * WELL,
+        sweep=sweep,
+        plant=plant,
+        intervals=_intervals(standings, [*swept, *others]),
+        table="\n".join(table),
+        plants=plants,
+        chart=chart,
     ).rstrip()
 
 
@@ -239,7 +256,7 @@ def _sweep_name(name: str) -> str:
 def _well_settled(standings: Standings, agent: str, values: Mapping[str, float]) -> str:
     """Return the values of a sweep at which an agent settles WELL, as ranges of neighbouring values."""
     if all(standings.why(agent, each) for each in values):
-        return "no row"
+        return "not run"
     well = [(not standings.why(agent, each) and standings.settled(agent, each)[0] >= WELL, value)
             for each, value in values.items()]  # fmt: skip
     runs = [[value for _, value in run] for passed, run in groupby(well, key=lambda each: each[0]) if passed]

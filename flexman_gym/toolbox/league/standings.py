@@ -174,7 +174,7 @@ class Standings:
         In an environment with limits that are recorded, the largest excess of an episode with a settling time follows.
         """
         if self.why(agent, scenario):
-            return "no row"
+            return "not run"
         if find_scenario(scenario).has_settling:
             settled, time = self.settled(agent, scenario)
             excess = max(self.values(agent, scenario, "excess").values())

@@ -55,11 +55,11 @@ def page(rows: Sequence[BenchmarkRow], endured: Sequence[EnduranceRow], files: M
     vectors = [row for row in rows if row.name == VECTOR and row.threads == 1]
     shown = [row for row in rows if row.table == ENVIRONMENTS and _is_shown(row)]
     table = markdown_table(HEADS, ((row.name, number(row.arms), number(row.threads), _speed(row.cpu),
-                                    number(row.times_peer)) for row in shown))  # fmt: skip
+                                    _ratio(row.times_peer)) for row in shown))  # fmt: skip
     best, single = min(vectors, key=lambda row: row.cpu), next(row for row in rows if row.name == OURS)
     answer = (BESIDE if single.times_peer and best.times_peer else ANSWER).format(
         single=_speed(single.cpu), best=_speed(best.cpu), arms=number(best.arms), peer=REACHER,
-        single_times=number(single.times_peer), best_times=number(best.times_peer),
+        single_times=_ratio(single.times_peer), best_times=_ratio(best.times_peer),
     )  # fmt: skip
     texts = [*_training(rows), *_effects(rows), *_endured(endured)]
     body = BODY.format(table="\n".join(table), texts="\n".join(texts))
@@ -73,7 +73,12 @@ def _is_shown(row: BenchmarkRow) -> bool:
 
 
 def _speed(seconds: float) -> str:
-    return number(float(f"{1 / seconds:.3g}"))
+    return number(float(f"{1 / seconds:.2g}"))
+
+
+def _ratio(times: float | None) -> str:
+    """Return a ratio of speeds with the digits that repeat; "" without one."""
+    return "" if times is None else f"{times:.2g}"
 
 
 def _training(rows: Sequence[BenchmarkRow]) -> list[str]:

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from flexman_gym.common.formatting import millimetres
 from flexman_gym.common.markdown import markdown_table
 from studies.drive.measure import KINDS, LOOPS, OF_AGENT, FaultRow, LoopRow, RoundTripRow, UndisturbedRow
 from studies.screen import screen
@@ -11,19 +12,20 @@ from studies.screen import screen
 QUICK = 5  # control periods in which a fault is noticed quickly
 QUESTION = "Does an agent move a machine in real time as in a simulation, and what happens if a part of the loop fails?"
 ANSWER = """**With real-time priority `{0}` settles in {1} and `{2}` in {3} (medians of {4}). {6} of {5} faults of
-the machine are noticed, {7} of them within five control periods; {9} of {8} undisturbed runs are stopped.**"""
+the machine are noticed, {7} within five control periods; {9} of {8} undisturbed runs are stopped.**"""
 BODY = """{table}
 
-*Noticed*: most periods from the first wrong readings on, over {agents}; *rest*: longest time until the motors rest.
-Undisturbed: {environment}, one packet in ten lost, readings half a period late.
+*Noticed*: most periods from the first wrong reading, over {agents}; *rest*: longest time to rest.
+Undisturbed: {environment}, one packet in ten lost, readings half a period late. Load average
+{least:.1f} to {most:.1f}.
 
 {loops}
 - **Without priority** ({free_count}): {free}.
 - **1 % lost** ({lost_count}): {lost}.
 - **Torques from arrival** ({arrival_count}): {arrival}.
-- **Round trip**: `fm.fit` finds a stiffness changed by 20 % within {fit:.2%}."""
-LOOP = """- **`{agent}`, {rate:.0f} Hz**: late by {late:.4f} ms, {missed} missed; vibration {vibration:.2g} mm
-  (simulation {simulated:.2g})."""
+- **Round trip**: `fm.fit` finds a stiffness changed by 20 % within {fit:.1%}."""
+LOOP = """- **`{agent}`, {rate:.0f} Hz**: late by {late:.1g} us, {missed} missed; vibration {vibration}
+  (simulation {simulated})."""
 
 
 def page(
@@ -52,6 +54,7 @@ def page(
         table="\n".join(markdown_table(head, [_kind(kind, faults, environments) for kind in KINDS])),
         agents=", ".join(f"`{each}`" for each in dict.fromkeys(row.agent for row in faults)),
         environment=undisturbed[0].environment, loops="\n".join(map(_loop, main)),
+        least=min(row.load for row in loops), most=max(row.load for row in loops),
         fit=max(abs(row.found / row.true - 1.0) for row in fits), **text,
     )  # fmt: skip
     lies = [row for row in faults if row.fault not in OF_AGENT and np.isfinite(row.noticed)]
@@ -68,16 +71,21 @@ def _simulated(row: LoopRow) -> str:
 
 def _loop(row: LoopRow) -> str:
     return LOOP.format(
-        agent=row.agent, rate=row.rate, late=1e3 * row.late_median,
-        missed=f"{row.missed:.2%}", vibration=1e3 * row.vibration,
-        simulated=1e3 * row.vibration_simulated,
+        agent=row.agent, rate=row.rate, late=1e6 * row.late_median,
+        missed=_missed(row), vibration=millimetres(row.vibration),
+        simulated=millimetres(row.vibration_simulated).removesuffix(" mm"),
     )  # fmt: skip
 
 
 def _outcome(row: LoopRow) -> str:
     stopped = f", stopped in {row.stopped:.0f} of {row.episodes:.0f}" if row.stopped else ""
     settled = f"{row.settled:.2f} s" if np.isfinite(row.settled) else "not settled"
-    return f"{settled}{stopped} ({row.missed:.2%} missed)"
+    return f"{settled}{stopped} ({_missed(row)} missed)"
+
+
+def _missed(row: LoopRow) -> str:
+    """Return the share of the periods with a missed deadline, of which there are few: one digit."""
+    return f"{100.0 * row.missed:.1g}%"
 
 
 def _episodes(count: float) -> str:

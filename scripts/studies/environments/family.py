@@ -39,6 +39,7 @@ RECIPE = {
     "FlexPlanar-Track-v0": "planar_track_ppo_on_pd", "FlexPlanar-Hold-v0": "planar_hold_ppo_on_pd",
 }  # fmt: skip
 """Environment -> its recipe."""
+TRAINED_REWARD = "distance"  # reward of a slew in trainings, whose slope reaches from metres to millimetres
 AREAS = ("printed", "corrected")  # areas of link 1 of the paper's arm, see `catalog.paper_rrr`
 ACTION_SECONDS, ARMS = 0.1, 256  # s, 1; duration of an action without a recipe; number of arms of a training
 
@@ -328,8 +329,8 @@ def _model_error(row: ModelError) -> list[str]:
     motors = any(not joint.passive for joint in NAMED_ENVIRONMENTS[row.environment].arm.joints)
     motion = "Random torques of up to half the limits" if motors else f"Swing from up to {SPREAD:g} rad"
     return paragraph(
-        f"{motion}: model error of the tip at most {length(row.model_largest)} within",
-        f"{DURATION:g} s, {length(row.steps_largest)} by the steps.",
+        f"{motion}: largest model error of the tip within {DURATION:g} s",
+        f"{length(row.model_largest)}, by the steps {length(row.steps_largest)}.",
     )
 
 
@@ -340,14 +341,16 @@ def _first_training(name: str, code: bool) -> list[str]:
     settings = {"base": "pd", "action_repeat": given.get("action_repeat", round(ACTION_SECONDS / named.control_period)),
                 "sensors": ("full", "fine")}  # fmt: skip
     if is_slew(name):
-        settings["task"] = {"kind": "slew", "reward": "distance", **_drawn(named.task)}
+        settings["task"] = {"kind": "slew", "reward": TRAINED_REWARD, **_drawn(named.task)}
     words = "".join(f"    {key}={value!r},\n" for key, value in settings.items()).replace("'", '"').splitlines()
     made = [f'arms = gym.make_vec("{name}", {ARMS}, "vector_entry_point", autoreset_mode="SameStep",', *words, ")"]
     known = f"the recipe `{recipe}` has them" if recipe else "there is no recipe for this environment"
     text = "[Settings](index.md#settings-for-a-first-training) for a first training"
     if not code:
         return paragraph(f"{text}: an action lasts {settings['action_repeat']} control periods, and {known}.")
-    return [f"{text}; {known}:", "", "```python", *made, "```"]
+    reward = getattr(named.task, "reward", TRAINED_REWARD)
+    differs = "" if reward == TRAINED_REWARD else f" (the environment alone has the reward `{reward}`)"
+    return [*paragraph(f"{text}; {known}{differs}:"), "", "```python", *made, "```"]
 
 
 def _drawn(task: Any) -> dict[str, float]:

@@ -4,11 +4,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from flexman_gym.common.formatting import percent
 from flexman_gym.common.markdown import markdown_table
 from flexman_gym.envs.config.named_environments import DEFAULT_ID, NAMED_ENVIRONMENTS, condition_names
 from flexman_gym.envs.registration import CONDITION_FOLDER, CONDITIONS, NOMINAL
 from flexman_gym.envs.sensors import SENSOR_NAMES
 from flexman_gym.envs.tasks import TASKS
+from flexman_gym.evaluation.shares import intervals_text
 from flexman_gym.metrics import BAND, SETTLING_WINDOW, VIBRATION_WINDOW
 from studies.environments.family import ACTION_SECONDS, ARMS, FAMILIES, RECIPE
 from studies.environments.measure import DURATION, FINER, LONG, MOTIONS, SEEDS, SHAPED, Baseline, baselines_of
@@ -115,20 +117,20 @@ def _result(row: Baseline) -> str:
     if not is_slew(row.environment):
         return f"RMS error {length(row.rms_error)}"
     time = f" after {row.settling_time:.3g} s" if np.isfinite(row.settling_time) else ""
-    return f"settles in {row.settled:.0%}{time}"
+    return f"settles in {percent(row.settled)}{time}"
 
 
 def _definitions(baselines: Sequence[Baseline]) -> list[str]:
     """Return the definitions of the metrics and of the baselines."""
     results = paragraph(
-        f"The results are those of {episodes_text(baselines)} (seeds from {SEEDS[0]}). The PD reads the",
-        "motor angles only; the tracking LQR is given the parameters and the full state of the arm. The tip has",
-        f"**settled** when it stays within {BAND:.3g} of the reach of its target until the end of the episode, for at",
-        f"least {SETTLING_WINDOW:g} s. Settling time and vibration are medians over the episodes; the settling time of",
-        "an episode that does not settle is infinite. **Vibration** is the motion of the tip from peak to peak in the",
-        f"last {VIBRATION_WINDOW:g} s. The tuned PD of FlexRRR-v0 is too slow for episodes of 10 s and settles in",
-        f"episodes of {LONG:g} s. In the tasks track and hold the target starts at the tip, and the metric is the RMS",
-        "tip error over the episode (median).",
+        f"The results are those of {episodes_text(baselines)} (seeds from {SEEDS[0]}). {intervals_text(len(SEEDS))}",
+        "The PD reads the motor angles only; the tracking LQR is given the parameters and the full state of the arm.",
+        f"The tip has **settled** when it stays within {BAND:.3g} of the reach of its target until the end of the",
+        f"episode, for at least {SETTLING_WINDOW:g} s. Settling time and vibration are medians over the episodes; the",
+        "settling time of an episode that does not settle is infinite. **Vibration** is the motion of the tip from",
+        f"peak to peak in the last {VIBRATION_WINDOW:g} s. The tuned PD of FlexRRR-v0 is too slow for episodes of 10 s",
+        f"and settles in episodes of {LONG:g} s. In the tasks track and hold the target starts at the tip, and the",
+        "metric is the RMS tip error over the episode (median).",
     )
     error = paragraph(
         f"The **error of the model** is measured with {MOTIONS} arms under random torques of up to half the limits for",

@@ -8,16 +8,17 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
+from flexman_gym.common.formatting import millimetres
 from flexman_gym.common.markdown import markdown_table
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.envs.tasks import Slew
+from flexman_gym.evaluation.shares import share_text
 from flexman_gym.model.dynamics import frequencies
 from flexman_gym.model.model import Model
 from flexman_gym.model.vibration import modes
 from studies.environments.measure import Baseline
 
 SECTIONS = ("Description", "Actions", "Observations", "Reward", "Start", "End", "Arguments", "Version history")
-LEAST = 1e-6  # m; smaller lengths are shown as "< 0.001 mm"
 
 
 def make(name: str, **keywords: Any) -> Any:
@@ -138,9 +139,7 @@ def length(value: float) -> str:
     """Return a length as text, in m or mm; "-" for a length that is not finite."""
     if not np.isfinite(value):
         return "-"
-    if 0.0 < value < LEAST:
-        return "< 0.001 mm"
-    return f"{value:.3g} m" if value >= 1.0 else f"{1e3 * value:.3g} mm"
+    return f"{value:.3g} m" if value >= 1.0 else millimetres(value)
 
 
 def episodes_text(rows: Sequence[Baseline]) -> str:
@@ -152,21 +151,22 @@ def episodes_text(rows: Sequence[Baseline]) -> str:
 def baseline_table(name: str, rows: Sequence[Baseline]) -> list[str]:
     """Return the table of the baselines of an environment with its number of episodes, as Markdown lines."""
     own = [row for row in rows if row.environment == name]
-    return [f"Over {episodes_text(own)}, medians and shares:", "", *_table(name, own)]
+    return [f"Over {episodes_text(own)}, medians and shares (95 % intervals):", "", *_table(name, own)]
 
 
 def settled_text(row: Baseline) -> str:
-    """Return the share of settled episodes and the median settling time, s, as text."""
+    """Return the share of settled episodes with its interval, and the median settling time, s, as text."""
     time = f", {row.settling_time:.3g} s" if np.isfinite(row.settling_time) else ""
-    return f"{row.settled:.0%}{time}"
+    return f"{share_text(row.settled, row.episodes)}{time}"
 
 
 def _table(name: str, own: Sequence[Baseline]) -> list[str]:
     if not is_slew(name):
-        cells = [(row.baseline, length(row.rms_error), f"{row.failed:.0%}") for row in own]
+        cells = [(row.baseline, length(row.rms_error), share_text(row.failed, row.episodes)) for row in own]
         return markdown_table(("baseline", "RMS tip error", "failed"), cells)
     heads = ("baseline", "settled", "settling time", "vibration at the end", "failed")
     return markdown_table(heads, [
-        (row.baseline, f"{row.settled:.0%}", f"{row.settling_time:.3g} s" if np.isfinite(row.settling_time) else "-",
-         length(row.vibration), f"{row.failed:.0%}") for row in own
+        (row.baseline, share_text(row.settled, row.episodes),
+         f"{row.settling_time:.3g} s" if np.isfinite(row.settling_time) else "-",
+         length(row.vibration), share_text(row.failed, row.episodes)) for row in own
     ])  # fmt: skip

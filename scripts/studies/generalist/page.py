@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from flexman_gym.common.markdown import markdown_table
+from flexman_gym.evaluation.shares import share_text
 from flexman_gym.toolbox.controllers.replanned_tracking import PLANNING_TIME
 from flexman_gym.toolbox.league.arm_trial import SETTLED
 from studies.generalist.measure import AGENTS, ARMS, LAW, NEEDED, PLANNED, POLICY, SEEDS, GeneralistRow
@@ -13,7 +14,7 @@ from studies.screen import screen
 QUESTION = "Does one policy, trained over random arms, need no training on the arm of a user?"
 ANSWER = """**It settles quicker than `{law}`, and as often, on {wins} of {arms} arms that its training has not drawn
 ({needed} are needed for `flexman arm --try`, which {decision}); `{planned}` does so on {planned_wins}, without any
-training.**"""
+training.** Shares of arms with 95 % intervals (Wilson): {share} and {planned_share}."""
 BODY = """{table}
 
 Time: median over the arms of the ratio of the median settling time to that of `{law}`; short and long slews: below and
@@ -42,7 +43,8 @@ def page(rows: Sequence[GeneralistRow], files: Mapping[str, str]) -> str:
     ]  # fmt: skip
     decision = "takes it" if wins >= NEEDED else "does not take it"
     answer = ANSWER.format(law=LAW, wins=wins, arms=len(ARMS), needed=NEEDED, decision=decision, planned=PLANNED,
-                           planned_wins=wins_of(PLANNED, rows))  # fmt: skip
+                           planned_wins=wins_of(PLANNED, rows), share=share_text(wins / len(ARMS), len(ARMS)),
+                           planned_share=share_text(wins_of(PLANNED, rows) / len(ARMS), len(ARMS)))  # fmt: skip
     body = BODY.format(
         table="\n".join(markdown_table(heads, cells)), law=LAW, episodes=len(SEEDS), periods=LONG,
         short=len(short) // len(AGENTS), long=len(long) // len(AGENTS),

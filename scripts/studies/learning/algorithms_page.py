@@ -8,6 +8,7 @@ import numpy as np
 
 from flexman_gym.common.formatting import millimetres
 from flexman_gym.common.markdown import markdown_table
+from flexman_gym.evaluation.shares import share_text
 from flexman_gym.metrics.statistics import median_interval
 from studies.learning.algorithms import BUDGETS, ENVIRONMENT, EPISODES, RECIPES, REFERENCES, AlgorithmRow
 from studies.screen import screen
@@ -18,16 +19,16 @@ ANSWER = "**{best}** {references}"
 BODY = """{table}
 
 Slews of the known arm of `{environment}`, episodes {first} to {final}: settled share, median settling time, 95 %
-interval (bootstrap over episodes and training seeds; with one seed without the spread between runs). Policies add
-torques to the PD and observe the true state, as `lqr-tracking` does; `shaping-flexrrr`, a policy on such a controller,
-and `planned` also have the parameters.
+intervals (Wilson; bootstrap over episodes and training seeds, with one seed without the spread between runs). Policies
+add torques to the PD and observe the true state, as `lqr-tracking` does; `shaping-flexrrr`, a policy on such a
+controller, and `planned` also have the parameters.
 
 CPU time of one core. Schedules end with the run, after about {last:g} minutes{ends}: earlier policies are on the way,
 and better with schedules that end there."""
 
 
 class _Result(NamedTuple):
-    """Result after a CPU time: settled share, median time (s) with interval, vibration (m), number of seeds."""
+    """Result after a CPU time: settled share, median time (s) with interval, vibration (m), seeds, episodes of each."""
 
     settled: float
     time: float
@@ -35,6 +36,7 @@ class _Result(NamedTuple):
     high: float
     vibration: float
     seeds: int
+    episodes: int
 
     @property
     def short(self) -> str:
@@ -43,9 +45,9 @@ class _Result(NamedTuple):
 
     @property
     def text(self) -> str:
-        """Settled share, median settling time and its interval."""
-        interval = f" ({_seconds(self.low)} to {_seconds(self.high)})" if math.isfinite(self.time) else ""
-        return self.short + interval
+        """Settled share and median settling time, with their intervals."""
+        time = f", {self.time:.2f} s ({_seconds(self.low)} to {_seconds(self.high)})"
+        return share_text(self.settled, self.episodes) + time * math.isfinite(self.time)
 
 
 def result(rows: Iterable[AlgorithmRow], algorithm: str, minutes: float | None) -> _Result | None:
@@ -55,7 +57,7 @@ def result(rows: Iterable[AlgorithmRow], algorithm: str, minutes: float | None) 
         return None
     times = median_interval(np.array([row.settling_times for row in found]))
     settled, vibration = (float(np.median([getattr(row, name) for row in found])) for name in ("settled", "vibration"))
-    return _Result(settled, *times, vibration, len(found))
+    return _Result(settled, *times, vibration, len(found), len(found[0].settling_times))
 
 
 def best(rows: Sequence[AlgorithmRow], minutes: float) -> list[tuple[str, _Result]]:

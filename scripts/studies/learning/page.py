@@ -16,6 +16,7 @@ from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.evaluation.agent_info import describe_agent, information_kind, policy_information
 from flexman_gym.evaluation.policy_files import POLICIES, policy_folder, read_policy
 from flexman_gym.evaluation.rollouts import TEST_SEEDS
+from flexman_gym.evaluation.shares import intervals_text
 from flexman_gym.toolbox.league import certificate
 from flexman_gym.toolbox.league.certificate_file import exceeded_limits, read_certificate
 from flexman_gym.toolbox.league.scenarios import change_name
@@ -68,6 +69,7 @@ def page(rows: Sequence[LearningRow], computer: str, results: Results, compared:
     return Template(TEMPLATE.read_text(encoding="utf-8")).substitute(
         opening=_opening(rows),
         count=len(TEST_SEEDS),
+        intervals=intervals_text(len(TEST_SEEDS)),
         test=f"{TEST_SEEDS.start} to {TEST_SEEDS.stop - 1}",
         slews=_body(7, _slews(rows)),
         footnote=_footnote(results.long),
@@ -280,7 +282,7 @@ def _grouped(changes: Sequence[str]) -> str:
 def _ablations(rows: Sequence[LearningRow]) -> list[str]:
     """Return a line for the whole recipe and for each ablation."""
     whole = _of(rows, "recipe", ABLATED)[:ABLATION_SEEDS]
-    lines = [f"the recipe as it is: {_line(whole)}"] if whole else []
+    lines = [f"the whole recipe: {_line(whole)}"] if whole else []
     for name, without in ABLATIONS.items():
         if result := _of(rows, "ablation", name):
             lines.append(f"without {without.means} ({without.instead}): {_line(result)}")

@@ -9,6 +9,7 @@ import numpy as np
 
 from flexman_gym.common.markdown import markdown_table
 from flexman_gym.common.plot_style import SLATE, save_figure
+from flexman_gym.evaluation.shares import share_text
 from studies.charts import new_chart
 from studies.methods import line_styles
 from studies.ringdown.measure import (
@@ -73,8 +74,7 @@ error is relative to the energy of the reference at the end or, if this is large
 - Without damping of the arm the median energy error of the default is {free:.2g} %, that of `ros2` {old_free:.2g} %.
 - Explicit methods fail on {failed} released arms at every tested step.{mujoco}
 
-[Accuracy](accuracy.md) has the default on other and
-more arms, with other medians."""
+[Accuracy](accuracy.md) has more arms, other medians, and the bound of the energy error."""
 MUJOCO = """
 - MuJoCo's `{name}` at {step:.3g} ms retains {kept:.2g} of the energy of an undamped arm of rigid pieces (exact: 1;
   {arms:g} arms)."""
@@ -123,9 +123,9 @@ N m. The errors are those of the method alone; the reference is `dop853` with th
 The method has no numerical damping: the amplitude of an undamped vibration of the linear arm neither decays nor
 grows, but oscillates by at most (omega h)^2 / 12, its energy by at most (omega h)^2 / 6 ([stability](stability.md)).
 Its correction of the phase error does not contain Coulomb friction or centrifugal softening. `gym.make("FlexRRR-v0",
-step=0.005)` shortens the step, and `fidelity="auto"` with a tolerance chooses anew: [choices](fidelity.md). The rows
-also have {others} other methods and steps."""
-ACCURACY_HEADS = ("motion", "after", "energy within 2 %", "tip, half of the arms", "90 %", "95 %")
+step=0.005)` shortens the step, and `fidelity="auto"` with a tolerance chooses anew: [choices](fidelity.md). Rows of
+{others} more methods and steps are stored."""
+ACCURACY_HEADS = ("motion", "after", "energy within 2 % (95 % interval)", "tip, half of the arms", "90 %", "95 %")
 
 
 def accuracy_page(rows: Sequence[Errors], files: Mapping[str, str]) -> str:
@@ -149,4 +149,4 @@ def accuracy_page(rows: Sequence[Errors], files: Mapping[str, str]) -> str:
 
 def _accuracy(row: Errors) -> tuple[str, ...]:
     tips = (f"{1e3 * tip:.2g} mm" for tip in (row.tip_median, row.tip_90, row.tip_95))
-    return row.kind, f"{row.time:g} s", f"{row.within:.0%}", *tips
+    return row.kind, f"{row.time:g} s", share_text(row.within, row.arms), *tips

@@ -4,14 +4,16 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from flexman_gym.common.formatting import percent
 from flexman_gym.common.markdown import markdown_table
-from studies.safety.learning import KINDS, LearningRow, task
+from flexman_gym.evaluation.shares import share_text
+from studies.safety.learning import KINDS, TEST_SEEDS, LearningRow, task
 from studies.safety.measure import ACCEPTED, STUDY, Cell, SafetyRow, violation_bound
 from studies.screen import screen
 
 QUESTION = "Do limits of strain, torque, rate and workspace hold with the safety filter, and what does it cost?"
-ANSWER = """**With the filter {counts} moves violate a limit; without it {free:.0%} of all moves do.** The rate of
-violations in `nominal` is below {bound:.1%} (95 % confidence)."""
+ANSWER = """**With the filter {counts} moves violate a limit; without it {free} of all moves do.** The rates of
+violations are below {bounds} (95 % confidence each)."""
 BODY = """{table}
 
 [The page on safety](../safety.md) has agents and limits. A violation is an excess above {accepted:.0%} of the limit, of
@@ -19,9 +21,11 @@ rate and half space any excess. Time: ratio of the median settling times with an
 in a batch, and of a single arm.
 
 PPO of a PD controller of `FlexOne-v0`, strain limit {strain:g}, {seeds} seeds, {steps:,} actions each; free: violations
-have no consequence; ended: they end the episode.
+have no consequence; ended: they end the episode. Moves after the training: {tests} of each seed.
 
 {learning}"""
+LEARNED = ("training", "episodes that violate", "CPU, min", "moves that violate", "with the filter",
+           "settling with it, s")  # fmt: skip
 
 
 def page(rows: Sequence[SafetyRow], learned: Sequence[LearningRow], files: Mapping[str, str]) -> str:
@@ -31,38 +35,37 @@ def page(rows: Sequence[SafetyRow], learned: Sequence[LearningRow], files: Mappi
               for name in dict.fromkeys(row.condition for row in rows)}  # fmt: skip
     counts = ", ".join(f"{violations} of {moves} (`{name}`)" for name, (violations, moves) in totals.items())
     free = sum(row.moves * row.free_violations for row in rows) / sum(row.moves for row in rows)
-    answer = ANSWER.format(counts=counts, free=free, bound=violation_bound(*totals["nominal"]))
+    bounds = ", ".join(f"{_percent(violation_bound(*count))} (`{name}`)" for name, count in totals.items())
+    answer = ANSWER.format(counts=counts, free=percent(free), bounds=bounds)
     heads = "condition", "moves", "violations", "largest excess", "time", "changed periods", "CPU, ms"
     lines = [_condition(name, [row for row in rows if row.condition == name]) for name in totals]
     body = BODY.format(
         table="\n".join(markdown_table(heads, lines)), accepted=ACCEPTED, strain=task("cost").limits.strain,
         seeds=len({row.seed for row in learned}), steps=int(learned[0].steps),
-        learning="\n".join(_training(kind, learned) for kind in KINDS),
+        learning="\n".join(markdown_table(LEARNED, [_training(kind, learned) for kind in KINDS])),
+        tests=len(TEST_SEEDS),
     )  # fmt: skip
     return screen("Safety filter", QUESTION, answer, body, files, "safety")
 
 
 def cells(rows: Sequence[SafetyRow]) -> list[str]:
     """Return the lines of the table of all cells, for docs/safety.md."""
-    heads = ("agent", "moves", "violations, free", "violations", "largest excess", "settling, s (settled)")
+    heads = ("agent", "moves", "violations without the filter", "with it", "largest excess",
+             "settling without the filter, s (settled)", "with it")  # fmt: skip
     return ["", *markdown_table(heads, map(_cell, rows)), ""]
 
 
 def _cell(row: SafetyRow) -> tuple[object, ...]:
     agent = ", ".join((row.condition, row.agent, *[row.limits] * (row.limits != STUDY)))
-    return (agent, int(row.moves), f"{row.free_violations:.0%}", int(row.violations),
-            _percent(row.largest), _settling(row))  # fmt: skip
+    pairs = (row.free_settling, row.free_settled), (row.settling, row.settled)
+    settling = [_settling(*pair) if _has_goal(row) else "" for pair in pairs]
+    return (agent, int(row.moves), share_text(row.free_violations, row.moves), int(row.violations),
+            _percent(row.largest), *settling)  # fmt: skip
 
 
-def _settling(row: SafetyRow) -> str:
-    """Return the median settling times and the shares of settled moves without and with the filter."""
-    if not _has_goal(row):
-        return ""
-    times, shares = (row.free_settling, row.settling), (row.free_settled, row.settled)
-    return " to ".join(
-        f"{time:.2f} ({share:.0%})" if np.isfinite(time) else f"none ({share:.0%})"
-        for time, share in zip(times, shares, strict=True)
-    )
+def _settling(time: float, share: float) -> str:
+    """Return a median settling time and the share of settled moves."""
+    return f"{time:.2f} ({percent(share)})" if np.isfinite(time) else f"none ({percent(share)})"
 
 
 def _has_goal(row: SafetyRow) -> bool:
@@ -81,14 +84,14 @@ def _condition(name: str, rows: Sequence[SafetyRow]) -> tuple[object, ...]:
             f"{min(batch):.2f} to {max(batch):.2f}, {min(single):.1f} to {max(single):.1f}")  # fmt: skip
 
 
-def _training(kind: str, rows: Sequence[LearningRow]) -> str:
-    """Return the item of a kind of training, means over the seeds."""
+def _training(kind: str, rows: Sequence[LearningRow]) -> tuple[object, ...]:
+    """Return the line of a kind of training, means over the seeds."""
     plain, safe = ([row for row in rows if row.training == kind and row.filtered == text] for text in ("False", "True"))
     violating, episodes = (int(sum(getattr(row, name) for row in plain)) for name in ("violating", "episodes"))
     cpu, settling = np.mean([row.cpu for row in plain]), np.mean([row.settling for row in safe])
-    free, filtered = (np.mean([row.violations for row in each]) for each in (plain, safe))
-    return (f"- {kind}: {violating} of {episodes} episodes violate; {cpu:.2f} min of CPU time; then {free:.0%} of the "
-            f"moves, {filtered:.0%} with the filter; settling {settling:.2f} s.")  # fmt: skip
+    shares = (share_text(float(np.mean([row.violations for row in each])), len(TEST_SEEDS) * len(each))
+              for each in (plain, safe))  # fmt: skip
+    return kind, f"{violating} of {episodes}", f"{cpu:.1g}", *shares, f"{settling:.2f}"
 
 
 def _largest(rows: Sequence[SafetyRow]) -> float:

@@ -22,7 +22,7 @@ unit circle, for the straight arm with four modes per link. Below 1 (bold) the t
 - With Coulomb friction a loop is called stable if it is stable for every combination of sticking motors. Of {stable}
   such loops {at_rest} came to rest, to {rest:.0%} of the largest speed of the tip.
 
-The rows also have two other arms, drives with a bandwidth, and stiffer springs."""
+[servos.csv](servos.csv) has two more arms, drives with a bandwidth, and stiffer springs."""
 
 
 def page(rows: Sequence[ServoRow], rubbing: Sequence[FrictionRow], files: Mapping[str, str]) -> str:

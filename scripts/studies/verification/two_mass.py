@@ -20,6 +20,7 @@ from flexman_gym.common.markdown import markdown_table
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.envs.config.plant import make_plant
+from flexman_gym.evaluation.shares import share_text
 from flexman_gym.model.dynamics import mass_matrix
 from flexman_gym.model.model import Model
 from flexman_gym.model.state_space import LinearModel, discretize
@@ -151,7 +152,7 @@ def two_mass_table(rows: Sequence[TwoMassRow]) -> str:
     """Return the table of the page of published arms as Markdown."""
     heads = ("agent", "spring of its design", "unstable", "slow", "saturated", "settles, k = 1", "torque, k = 1")
     cells = [
-        (row.agent, row.spring, *(f"{100 * share:.1f} %" for share in (row.unstable, row.slow, row.saturated)),
+        (row.agent, row.spring, *(share_text(share, DRAWS) for share in (row.unstable, row.slow, row.saturated)),
          f"{row.settling:.3g} s" if row.settling <= HORIZON else "-", f"{row.torque:.2g} N m")
         for row in rows
     ]  # fmt: skip
