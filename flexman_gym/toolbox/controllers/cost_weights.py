@@ -84,6 +84,8 @@ class CostWeights(NamedTuple):
             scaled = inputs * unit  # torques in units of their cost, for a well-scaled equation
             solution = self._cost_to_go((transition, scaled, outputs.T @ outputs), unit)
             gain = np.linalg.solve(np.eye(n) + scaled.T @ solution @ scaled, scaled.T @ solution @ transition)
+            if not np.isfinite(gain).all():  # functions of LAPACK return NaN without an error
+                raise FloatingPointError
         return unit[:, None] * gain
 
     def _cost_to_go(self, equation: tuple[Array, Array, Array], unit: Array) -> Array:
@@ -128,9 +130,10 @@ class NamedWeights(CostWeights):
         for balanced in (True, False):  # balancing makes some equations unsolvable, and others solvable
             try:
                 result: Array = solve_discrete_are(*equation, identity, balanced=balanced)
-                return result
             except (ValueError, np.linalg.LinAlgError):
                 continue
+            if np.isfinite(result).all():  # SciPy 1.18 returns NaN where earlier versions raise an error
+                return result
         return super()._cost_to_go(equation, unit)
 
 
