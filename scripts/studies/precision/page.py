@@ -44,7 +44,7 @@ cheapest method within a time error and its CPU ms per simulated second, for mod
 
 Extrapolations amplify undamped vibrations in a band of omega h, so that a shorter step can increase the error: in
 {setbacks} combinations of scene, model and method. Choose by a scene that is similar to yours; `flexman precision
-scene.yaml` makes such a table. The rows have {rows:,} runs of {methods} methods ({missing}) and all models, with time
+scene.yaml` draws your scene. The rows have {rows:,} runs of {methods} methods ({missing}) and all models, with time
 and total errors."""
 
 
