@@ -20,7 +20,7 @@ from studies.sentences import updated, window_and_episodes
 from studies.sources import Sources
 
 UNKNOWN = f"{DEFAULT_ID}/unknown"  # scenario with unknown payload and stiffness, and a delay
-BOUNDS = ("zero", "random")  # agents of the league that are no controllers
+SHOWN = ("adaptive-lqr", "lab-flexrrr", "lqg", "lqr-tracking", "pd", "ppo-flexrrr")  # agents of the table
 MARKERS = "<!-- {name} -->", "<!-- end of {name} -->"  # lines above and below a generated part of the README
 # information of `describe_agent` -> words of the README; a training is no information about the arm
 INFORMATION = {
@@ -103,13 +103,12 @@ def badges(settings: dict[str, Any]) -> list[str]:
 
 
 def results(standings: Standings) -> list[str]:
-    """Return the table of the agents in the default environment, with known and with unknown parameters.
+    """Return the table of six agents in the default environment, with known and with unknown parameters.
 
     Agents without oracle information come first, then the agents with the largest share and the shortest time of
     settling for unknown parameters. An agent without rows in one of the two scenarios has no row.
     """
-    agents = [each for each in dict.fromkeys(agent for _, agent, _ in standings.results.cells)
-              if each not in BOUNDS and not standings.why(each, DEFAULT_ID) + standings.why(each, UNKNOWN)]  # fmt: skip
+    agents = [each for each in SHOWN if not standings.why(each, DEFAULT_ID) + standings.why(each, UNKNOWN)]
     agents.sort(key=lambda each: (_information(each)[2], standings.settled(each, UNKNOWN)), reverse=True)
     heads = ("agent", "given", "known arm: settled", "vibration", "unknown arm: settled", "vibration")
     return markdown_table(heads, ([f"`{each}`: {title(each)}", given(each), *_cells(standings, each, DEFAULT_ID),
