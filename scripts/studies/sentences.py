@@ -238,7 +238,7 @@ SENTENCES = (  # with numbers of stored rows
     ),
     Sentence(
         r"with (\d+) random arms and uncertain parameters `adaptive-lqr` settles ([^)]*\)) of the slews, "
-        r"and at least 90 % with (\d+) of the arms",
+        r"and nine of ten with (\d+) of the arms",
         _random_arms,
     ),
     Sentence(r"\*\*Friction in no model\*\*: with it ([^)]*\)) of (\d+) slews settle", _unmodelled_friction),
