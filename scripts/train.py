@@ -18,7 +18,7 @@ from flexman_agents.vector import SB3VecEnv
 # still increases at errors of millimetres.
 SETTINGS: dict[str, Any] = {"base": "pd", "action_repeat": 5, "reward": "distance"}
 NETWORK = {"net_arch": [128, 128], "log_std_init": -1.6}  # little noise, as it excites vibrations that last for seconds
-STEPS = {"ppo": 2_000_000, "sac": 250_000}  # about three minutes of CPU time each
+STEPS = {"ppo": 2_000_000, "sac": 600_000}  # about three minutes of CPU time each
 
 
 def environment(arms: int) -> VecMonitor:
@@ -29,7 +29,7 @@ def environment(arms: int) -> VecMonitor:
 def model(algorithm: str) -> PPO | SAC:
     """Return a new model of an algorithm."""
     if algorithm == "sac":
-        return SAC("MlpPolicy", environment(64), learning_rate=1e-3, batch_size=1024, gamma=0.95, gradient_steps=8,
+        return SAC("MlpPolicy", environment(256), learning_rate=1e-3, batch_size=1024, gamma=0.95, gradient_steps=8,
                    ent_coef="auto_0.02", learning_starts=4000, policy_kwargs=NETWORK, device="cpu", seed=0)  # fmt: skip
     arms = VecNormalize(environment(256), norm_obs=False, gamma=0.95)  # divides rewards by their standard deviation
     return PPO("MlpPolicy", arms, learning_rate=lambda left: 1e-3 * left, n_steps=12, batch_size=512, n_epochs=4,

@@ -17,7 +17,7 @@ def run(folder, script, *arguments):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "steps"), [("ppo", 6144), ("sac", 4160)])
+@pytest.mark.parametrize(("name", "steps"), [("ppo", 6144), ("sac", 4352)])
 def test_a_model_is_trained_saved_and_evaluated(tmp_path, name, steps):
     assert run(tmp_path, "train", name, steps) == []
     assert (tmp_path / "runs" / f"{name}.zip").exists()
