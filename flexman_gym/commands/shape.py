@@ -337,4 +337,8 @@ def _write_table(path: Path, cases: "Sequence[OperatingPoint]", evaluations: "Se
     write_file(path, text.getvalue())
 
 
-COMMAND = CommandLine(_arguments, _run)
+EXAMPLES = (
+    "flexman shape FlexRRR-v0  # modes, and a recommended shaper",
+    "flexman shape planar_2r --postures 4 --csv modes.csv",
+)
+COMMAND = CommandLine(_arguments, _run, EXAMPLES)

@@ -1,13 +1,12 @@
 """Verification table: rows of expected and computed values with a verdict, as text and JSON."""
 
-import json
-import math
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Self
 
 from flexman_gym.common.computer import computer_info
+from flexman_gym.common.formatting import json_text
 
 COLUMNS = ("case", "source", "expected", "computed", "error", "tolerance", "verdict")
 PASS, FAIL, SHOWN = "pass", "fail", "shown"
@@ -103,10 +102,4 @@ class VerificationTable(list[VerificationRow]):
 
     def to_json(self) -> str:
         """Return rows, computer and versions of the software as JSON; infinite numbers and NaN become null."""
-        clean = [{name: _finite(value) for name, value in row.values().items()} for row in self]
-        return json.dumps({"machine": computer_info(), "rule": RULE, "rows": clean}, indent=1, allow_nan=False) + "\n"
-
-
-def _finite(value: str | float | None) -> str | float | None:
-    """Return a value, or None for an infinite number or NaN."""
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+        return json_text({"machine": computer_info(), "rule": RULE, "rows": [row.values() for row in self]}) + "\n"
