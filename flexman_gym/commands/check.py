@@ -31,7 +31,7 @@ def _run(options: argparse.Namespace) -> int:
     for name, value in state.items():
         print(f"{name}: {value}", flush=True)
     speed = f"{_steps_per_second():,.0f} per CPU second"
-    print(f"steps of FlexRRR-v0: {speed} (one arm, random actions; median of {ROUNDS} rounds of {TIMED_STEPS} steps)")
+    print(f"steps of FlexRRR-v0: {speed} (one arm, random actions; median of {ROUNDS} rounds of {TIMED_STEPS})")
     return 0
 
 

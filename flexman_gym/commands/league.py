@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from flexman_gym.commands import CommandLine, add_options, output_folder
-from flexman_gym.common.formatting import json_text, text_table
+from flexman_gym.common.formatting import json_text
 
 if TYPE_CHECKING:
     from flexman_gym.common.parallel import Workers
@@ -103,8 +103,8 @@ def _run(options: argparse.Namespace) -> int:
     if options.json:
         print(json_text({"page": str(folder / PAGE), "agents": _results(standings, names)}))
         return 0
-    rows = [[each, *(standings.settling_text(each, name) for name in names)] for each in standings.agents]
-    print("\n".join([*text_table(["agent", *names], rows), f"{folder / PAGE} has the results."]))
+    table = standings.settling_table(standings.agents, names, ["agent", *names])
+    print("\n".join([*table, f"{folder / PAGE} has the results."]))
     return 0
 
 

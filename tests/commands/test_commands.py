@@ -245,7 +245,7 @@ def test_a_league_takes_few_episodes_on_other_plants_and_those_of_others_for_one
         return dict(runs)
 
     monkeypatch.setattr(rows, "run_league", run_league)
-    monkeypatch.setattr(Standings, "agents", ())
+    monkeypatch.setattr(Standings, "settling_table", lambda *_: [])
     monkeypatch.setattr(page, "write_page", lambda *_: None)
     usual = {100: [each.removesuffix("/nominal") for each in USUAL_SCENARIOS]}
     assert found() == found("--add", "pd") == usual
