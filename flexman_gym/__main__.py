@@ -126,7 +126,7 @@ def _overview() -> str:
     """Return the help of all commands in groups: name and whole summary of each."""
     lines = []
     for group, names in COMMAND_GROUPS.items():
-        lines.append(f"{group}:")
+        lines.append(commands.bold(f"{group}:"))
         for name in names:
             head = f"    {name}".ljust(INDENT)
             lines += wrap(_summary(name).rstrip("."), COLUMNS, initial_indent=head, subsequent_indent=" " * INDENT)

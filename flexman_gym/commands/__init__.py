@@ -1,6 +1,8 @@
 """Commands of `flexman`, one file each; the `COMMAND` of a file adds its arguments to a parser and runs it."""
 
 import argparse
+import os
+import sys
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -46,7 +48,15 @@ class CommandHelp(argparse.RawDescriptionHelpFormatter):
         return f"{action.metavar or default_metavar} ..." if many else super()._format_args(action, default_metavar)
 
     def _fill_text(self, text: str, width: int, indent: str) -> str:
-        return text if text.startswith(EXAMPLES) else argparse.HelpFormatter._fill_text(self, text, width, indent)
+        if text.startswith(EXAMPLES):
+            return text.replace(EXAMPLES, bold(EXAMPLES), 1)
+        return argparse.HelpFormatter._fill_text(self, text, width, indent)
+
+
+def bold(text: str) -> str:
+    """Return a text in bold if standard output is a terminal, unless NO_COLOR (no-color.org) forbids it."""
+    plain = not sys.stdout.isatty() or os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb"
+    return text if plain else f"\033[1m{text}\033[0m"
 
 
 def examples_text(examples: Iterable[str]) -> str:

@@ -7,7 +7,7 @@ from itertools import takewhile, zip_longest
 from pathlib import Path
 from textwrap import wrap
 
-from flexman_gym.commands import CommandLine, add_options
+from flexman_gym.commands import CommandLine, add_options, bold
 from flexman_gym.common.errors import suggestion
 from flexman_gym.common.formatting import WIDTH, json_text
 
@@ -40,7 +40,7 @@ def _run(options: argparse.Namespace) -> int:
         print(json_text({what: dict(_entries(what)) for what in kinds}))
         return 0
     for what in kinds:
-        print("\n".join([f"{what}:", *_lines(dict(_entries(what)))]))
+        print("\n".join([bold(f"{what}:"), *_lines(dict(_entries(what)))]))
     return 0
 
 

@@ -14,6 +14,7 @@ import pytest
 import flexman_gym as fm
 from flexman_gym.__main__ import COMMAND_GROUPS, main
 from flexman_gym.agent.base_controllers import BASES
+from flexman_gym.commands import load_scene
 from flexman_gym.commands.list import KINDS
 from flexman_gym.commands.optimise import PURPOSES
 from flexman_gym.envs.config.configuration import Configuration
@@ -144,6 +145,12 @@ def test_simulate_keeps_the_motion_as_a_table(tmp_path, capsys):
     assert rows[:, -1] == pytest.approx(expected.energy, rel=1e-10, abs=1e-10)
     said = capsys.readouterr().out
     assert said.startswith(f"status: ok, to {expected.time[-1]:g} s") and "largest residual" in said
+
+
+@pytest.mark.parametrize("case", ["rr", "fr", "ff"])
+def test_scenes_of_the_paper_have_names(case):
+    assert load_scene(f"paper_{case}") == fm.catalog.paper_scene(case)
+    assert load_scene(str(REFERENCE / f"paper_{case}.json")) == fm.Scene.load(REFERENCE / f"paper_{case}.json")
 
 
 def test_a_simulation_that_diverges_ends_with_1(capsys):
@@ -322,6 +329,8 @@ def test_the_exit_status_says_whether_a_policy_is_within_its_limits(
     monkeypatch.setattr(certificate, "certify", lambda *_, **__: path)
     assert main(["league", "--agent", "lab-flexrrr"]) == status
     assert capsys.readouterr().out == f"{path}: {words}\n"
+    assert main(["league", "--agent", "lab-flexrrr", "--json"]) == status
+    assert json.loads(capsys.readouterr().out) == json.loads(path.read_text())
 
 
 def drawn(capsys, *words):

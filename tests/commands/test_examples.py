@@ -68,5 +68,6 @@ def test_help_ends_with_examples_of_its_command(command, capsys):
         main([command, "--help"])
     lines = capsys.readouterr().out.splitlines()
     assert lines[-len(examples) - 1] == "EXAMPLES" and lines[-len(examples) :] == [f"  {each}" for each in examples]
+    assert lines[0].startswith(f"usage: flexman {command} ") and lines[0].endswith(" [options]")
     assert max(map(len, examples)) <= MAX_LENGTH
     assert any(each.split()[:2] == ["flexman", command] for each in examples)

@@ -121,6 +121,13 @@ def test_the_head_says_on_which_environment_all_rows_were_run():
     assert "(as it is)" in metrics_table({"pd": [record()]}, Configuration())
 
 
+def test_what_three_decimals_do_not_show_is_a_bound():
+    """Errors in mm: an interval from 0.0004 to 2, and one below 0.0005 as a whole."""
+    wide = metrics_table({"pd": [record(error=error) for error in (4e-7, 4e-7, 2e-3)]}, ONE)
+    assert "<0.001 (<0.001-2)" in wide
+    assert "<0.001" in (small := metrics_table({"pd": [record(error=4e-7)] * 3}, ONE)) and "(<0.001" not in small
+
+
 def test_what_has_not_settled_is_a_dash():
     head, line = rows(["pd"], settled=np.inf)[1:3]
     assert line[head.index("settling, s") :].split()[0] == "-"
