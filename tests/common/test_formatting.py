@@ -42,4 +42,6 @@ def test_a_table_wider_than_a_line_goes_on_below_with_its_first_column():
         "agent   a  bbbbbbbb", "pd      1         2", "lqr    44         5", "", "agent       c", "pd     333333",
         "lqr         6",
     ]  # fmt: skip
+    assert len(text_table(["agent", "a", "bbb"], [["pd", "1", "2"]], width=13)) == 2, "of 13 characters, and no more"
+    assert len(text_table(["agent", "a", "bbb"], [["pd", "1", "2"]], width=12)) == 5
     assert text_table(["agent", "b" * 30], [["pd", "1"]], width=20) == ["agent  " + "b" * 30, "pd" + " " * 34 + "1"]

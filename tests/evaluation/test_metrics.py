@@ -125,6 +125,7 @@ def test_what_three_decimals_do_not_show_is_a_bound():
     """Errors in mm: an interval from 0.0004 to 2, and one below 0.0005 as a whole."""
     wide = metrics_table({"pd": [record(error=error) for error in (4e-7, 4e-7, 2e-3)]}, ONE)
     assert "<0.001 (<0.001-2)" in wide
+    assert "1.23 (1.2-1.2)" in metrics_table({"pd": [record(error=1.234e-3)] * 3}, ONE), "bounds have two digits"
     assert "<0.001" in (small := metrics_table({"pd": [record(error=4e-7)] * 3}, ONE)) and "(<0.001" not in small
 
 
