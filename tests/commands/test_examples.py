@@ -11,7 +11,7 @@ from flexman_gym.__main__ import COMMAND_GROUPS, main
 from flexman_gym.toolbox.deployment.machine import simulated
 from flexman_gym.toolbox.view.live_session import LiveSession
 
-from oracles.commands import LESS, LESS_EPISODES, use_less_episodes, with_less_work
+from oracles.commands import LESS, use_less_episodes, with_less_work
 from oracles.machines import FakeSimulatedMachine
 
 COMMANDS = [name for names in COMMAND_GROUPS.values() for name in names]
@@ -43,7 +43,6 @@ def less_work(monkeypatch, tmp_path):
     demo = importlib.import_module("flexman_gym.commands.demo")
     recipe = replace(demo.find_recipe(demo.RECIPE), steps=int(LESS["--steps"]), envs=2)
     monkeypatch.setattr(demo, "find_recipe", lambda _: recipe)
-    monkeypatch.setattr(demo, "TEST_SEEDS", dict((name, value) for _, name, value in LESS_EPISODES)["TEST_SEEDS"])
     monkeypatch.setattr(simulated, "SimulatedMachine", FakeSimulatedMachine)
     monkeypatch.setattr(LiveSession, "wait", lambda self: None)
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
