@@ -40,9 +40,10 @@ def less_work(monkeypatch, tmp_path):
     pytest.importorskip("stable_baselines3")
     pytest.importorskip("matplotlib").use("Agg")
     use_less_episodes(monkeypatch)
-    demo = importlib.import_module("flexman_gym.commands.demo")
-    recipe = replace(demo.find_recipe(demo.RECIPE), steps=int(LESS["--steps"]), envs=2)
-    monkeypatch.setattr(demo, "find_recipe", lambda _: recipe)
+    find_recipe = importlib.import_module("flexman_agents.settings").find_recipe
+    for module in ("flexman_agents.settings", "flexman_gym.commands.demo"):
+        short = {"steps": int(LESS["--steps"]), "envs": 2}
+        monkeypatch.setattr(f"{module}.find_recipe", lambda name, short=short: replace(find_recipe(name), **short))
     monkeypatch.setattr(simulated, "SimulatedMachine", FakeSimulatedMachine)
     monkeypatch.setattr(LiveSession, "wait", lambda self: None)
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
