@@ -8,6 +8,7 @@ import pkgutil
 import re
 import signal
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from textwrap import wrap
 
@@ -22,6 +23,9 @@ COMMAND_GROUPS = {  # group -> commands, in the order of the help
     "control": ("optimise", "shape", "drive"),
     "data": ("record", "replay", "export"),
 }
+ABOUT = """Simulate, train and test controllers of flexible robot arms.
+flexman COMMAND --help shows the arguments of a command, with examples."""
+SHELLS = ("bash", "zsh", "fish")  # shells that complete words
 COLUMNS, INDENT = 80, 15  # characters; width of the help, and start of the summaries of the commands
 CLOSED_PIPE = 128 + signal.SIGPIPE  # exit status, that of a program ended by this signal
 
@@ -43,32 +47,19 @@ def main(arguments: list[str] | None = None) -> int:
 
 def _run(arguments: list[str] | None) -> int:
     """Run a command and return the exit status."""
-    given = sys.argv[1:] if arguments is None else arguments
-    about = "Simulate, train and test controllers of flexible robot arms."
-    form = argparse.RawDescriptionHelpFormatter
-    parser = argparse.ArgumentParser(
-        prog="flexman",
-        usage="flexman COMMAND [options]",
-        description=f"{about}\n\n{_overview()}",
-        epilog="flexman COMMAND --help shows the arguments of a command.",
-        formatter_class=form,
-    )
-    parser.add_argument("--version", action="version", version=__version__)
-    chosen = parser.add_subparsers(
-        prog="flexman", dest="command", required=True, metavar="command", help=argparse.SUPPRESS
-    )
-    for each in pkgutil.iter_modules(commands.__path__):
-        chosen.add_parser(each.name, description=_description(each.name))
-    if not given or given[0] not in chosen.choices:
-        if given and not given[0].startswith("-"):
-            near = suggestion(given[0], chosen.choices)
+    given = (sys.argv[1:] if arguments is None else arguments) or ["--help"]
+    parser, chosen = _command_parsers()
+    parsers = chosen.choices
+    if given[0] not in parsers:
+        if not given[0].startswith("-"):
+            near = suggestion(given[0], parsers)
             parser.error(f"command: {given[0]!r} is not allowed{near}; flexman --help lists all")
-        parser.parse_args(given)
-    command_parser = chosen.choices[given[0]]
+        if shell := parser.parse_args(given).print_completion:
+            return _print_completion(parser, chosen, shell)
+        parser.error("no command is given; flexman --help lists all")
     try:
-        command = importlib.import_module(f"flexman_gym.commands.{given[0]}").COMMAND
-        command.arguments(command_parser)
-        status = int(command.run(parser.parse_args(given, argparse.Namespace(parser=command_parser))))
+        run = _add_arguments(given[0], parsers[given[0]])
+        status = int(run(parser.parse_args(given, argparse.Namespace(parser=parsers[given[0]]))))
         sys.stdout.flush()
         return status
     except ImportError as error:
@@ -87,11 +78,55 @@ def _run(arguments: list[str] | None) -> int:
     return 2
 
 
+def _command_parsers() -> "tuple[argparse.ArgumentParser, argparse._SubParsersAction[argparse.ArgumentParser]]":
+    """Return the parser of the program, and its argument whose choices are the commands, without arguments yet."""
+    parser = argparse.ArgumentParser(
+        prog="flexman",
+        usage="flexman COMMAND [options]",
+        description=f"{ABOUT}\n\n{_overview()}",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        add_help=False,
+    )
+    parser.add_argument("-h", "--help", action="help", help=argparse.SUPPRESS)
+    parser.add_argument("-V", "--version", action="version", version=__version__)
+    completion = f"print a script that completes words in {', '.join(SHELLS)}"
+    parser.add_argument("--print-completion", choices=SHELLS, metavar="SHELL", help=completion)
+    chosen = parser.add_subparsers(prog="flexman", dest="command", metavar="command", help=argparse.SUPPRESS)
+    for each in pkgutil.iter_modules(commands.__path__):
+        text, form = _description(each.name), commands.CommandHelp
+        chosen.add_parser(each.name, help=text.splitlines()[0], description=text, formatter_class=form)
+    return parser, chosen
+
+
+def _add_arguments(name: str, parser: argparse.ArgumentParser) -> Callable[[argparse.Namespace], int]:
+    """Add the arguments and the examples of a command to its parser, and return the function that runs it."""
+    command = importlib.import_module(f"flexman_gym.commands.{name}").COMMAND
+    command.arguments(parser)
+    parser.epilog = commands.examples_text(command.examples)
+    run: Callable[[argparse.Namespace], int] = command.run
+    return run
+
+
+def _print_completion(parser: argparse.ArgumentParser, chosen: argparse.Action, shell: str) -> int:
+    """Print the script by which a shell completes command lines; return the exit status."""
+    from flexman_gym.completion import completion_script
+
+    try:
+        for name, each in dict(chosen.choices or {}).items():
+            _add_arguments(name, each)
+        chosen.help = None  # the script leaves out arguments with a suppressed help
+        print(completion_script(parser, shell))
+    except ImportError as error:
+        print(error, file=sys.stderr)
+        return 2
+    return 0
+
+
 def _overview() -> str:
     """Return the help of all commands in groups: name and whole summary of each."""
     lines = []
     for group, names in COMMAND_GROUPS.items():
-        lines.append(f"{group}:")
+        lines.append(commands.bold(f"{group}:"))
         for name in names:
             head = f"    {name}".ljust(INDENT)
             lines += wrap(_summary(name).rstrip("."), COLUMNS, initial_indent=head, subsequent_indent=" " * INDENT)

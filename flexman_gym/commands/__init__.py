@@ -1,7 +1,9 @@
 """Commands of `flexman`, one file each; the `COMMAND` of a file adds its arguments to a parser and runs it."""
 
 import argparse
-from collections.abc import Callable
+import os
+import sys
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -11,6 +13,10 @@ from flexman_gym.common.files import check_output
 if TYPE_CHECKING:
     from flexman_gym.envs.config.configuration import Configuration
     from flexman_gym.evaluation.agent_spec import AgentSpec
+    from flexman_gym.scene.scene import Scene
+
+EXAMPLES = "EXAMPLES"  # heading in a help
+SCENES = {"paper_rr": "rr", "paper_fr": "fr", "paper_ff": "ff"}  # name of a scene -> case of `catalog.paper_scene`
 
 
 class CommandLine(NamedTuple):
@@ -19,10 +25,43 @@ class CommandLine(NamedTuple):
     Attributes:
         arguments: function that adds the arguments to a parser.
         run: function that runs the command with the parsed arguments, and returns the exit status.
+        examples: lines for the help of `flexman COMMAND`. They run in an empty folder, in their order.
     """
 
     arguments: Callable[[argparse.ArgumentParser], None]
     run: Callable[[argparse.Namespace], int]
+    examples: tuple[str, ...] = ()
+
+
+class CommandHelp(argparse.RawDescriptionHelpFormatter):
+    """Formatter of the help of a command: a usage without the options, a filled description, and its examples."""
+
+    def add_usage(
+        self, usage: str | None, actions: Iterable[argparse.Action], groups: Any, prefix: str | None = None
+    ) -> None:
+        """Add the usage with the required arguments and those without a name; "[options]" stands for the others."""
+        shown = [each for each in actions if each.required or not each.option_strings]
+        super().add_usage(usage, [*shown, argparse.Action([], "[options]")], [], prefix)
+
+    def _format_args(self, action: argparse.Action, default_metavar: str) -> str:
+        many = action.nargs == argparse.ONE_OR_MORE
+        return f"{action.metavar or default_metavar} ..." if many else super()._format_args(action, default_metavar)
+
+    def _fill_text(self, text: str, width: int, indent: str) -> str:
+        if text.startswith(EXAMPLES):
+            return text.replace(EXAMPLES, bold(EXAMPLES), 1)
+        return argparse.HelpFormatter._fill_text(self, text, width, indent)
+
+
+def bold(text: str) -> str:
+    """Return a text in bold if standard output is a terminal, unless NO_COLOR (no-color.org) forbids it."""
+    plain = not sys.stdout.isatty() or os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb"
+    return text if plain else f"\033[1m{text}\033[0m"
+
+
+def examples_text(examples: Iterable[str]) -> str:
+    """Return the end of a help with examples."""
+    return "\n  ".join([EXAMPLES, *examples])
 
 
 def add_options(parser: argparse.ArgumentParser, *names: str, **changes: dict[str, Any]) -> None:
@@ -30,7 +69,7 @@ def add_options(parser: argparse.ArgumentParser, *names: str, **changes: dict[st
 
     Args:
         parser: parser of the command.
-        names: "scene", "agent", "--env", "--episodes", "--seed", "--set" or "--trust".
+        names: "scene", "agent", "--env", "--episodes", "--seed", "--set", "--trust" or "--json".
         changes: name of an argument without dashes -> keyword arguments of `add_argument` for this command.
     """
     from flexman_gym.envs.config.configuration import SET_HELP
@@ -41,7 +80,7 @@ def add_options(parser: argparse.ArgumentParser, *names: str, **changes: dict[st
     ids = ", ".join(sorted(NAMED_ENVIRONMENTS))
     environment = f"environment: a file, an id with a condition such as FlexRRR-v0/delay, or {ids}"
     shared: dict[str, dict[str, Any]] = {
-        "scene": {"type": Path, "help": "scene, a .json or .yaml file"},
+        "scene": {"help": f"scene, a .json or .yaml file, or {', '.join(SCENES)}"},
         "agent": {
             "help": f"folder of a run or a policy, a zip of Stable-Baselines3 (with --trust), or {', '.join(AGENTS)}"
         },
@@ -65,6 +104,7 @@ def add_options(parser: argparse.ArgumentParser, *names: str, **changes: dict[st
             "help": SET_HELP,
         },
         "--trust": {"action": "store_true", "help": "load files of Stable-Baselines3; they can run any code"},
+        "--json": {"action": "store_true", "help": "print one JSON document, with unrounded numbers"},
     }
     for name in names:
         parser.add_argument(name, **shared[name] | changes.get(name.lstrip("-"), {}))
@@ -94,6 +134,23 @@ def _checked_output(text: str, path: Path) -> Path:
     except OSError as error:
         allowed = f"a path at which a file can be written: {error.strerror}"
         raise argparse.ArgumentTypeError(f"{short_path(text)} is not allowed; give {allowed}") from None
+
+
+def load_scene(name: str) -> "Scene":
+    """Return a scene by its name in SCENES or from a file.
+
+    Raises:
+        FileNotFoundError, ValueError: for a name without a scene, or a damaged file, with a one-line message.
+    """
+    from flexman_gym.common.errors import unknown_name
+    from flexman_gym.scene.catalog import paper_scene
+    from flexman_gym.scene.scene import Scene
+
+    if name in SCENES:
+        return paper_scene(SCENES[name])
+    if not Path(name).suffix:
+        raise unknown_name("scene", name, SCENES, "a .json or .yaml file")
+    return Scene.load(name)
 
 
 def load_agent(name: str, trust: bool, environment: "Configuration | None" = None) -> "AgentSpec":

@@ -7,25 +7,31 @@ import argparse
 import time
 from statistics import median
 
-from flexman_gym.commands import CommandLine
+from flexman_gym.commands import CommandLine, add_options
 
 PACKAGES = ("gymnasium", "torch", "stable-baselines3")
 TIMED_STEPS, ROUNDS = 500, 5  # environment steps of a round; rounds
 
 
 def _arguments(parser: argparse.ArgumentParser) -> None:
-    """Add no arguments."""
+    """Add the command-line arguments."""
+    add_options(parser, "--json")
 
 
 def _run(options: argparse.Namespace) -> int:
     """Print the state of the installation and the speed of an environment; return 0."""
     from flexman_gym.common.computer import computer_info
+    from flexman_gym.common.formatting import json_text
 
     vectors = {"vector registers": f"{_vector_bits()} bits"}
-    for name, value in (computer_info(PACKAGES) | vectors | _kernel_states()).items():
+    state = computer_info(PACKAGES) | vectors | _kernel_states()
+    if options.json:
+        print(json_text(state | {"steps per CPU second": _steps_per_second()}))
+        return 0
+    for name, value in state.items():
         print(f"{name}: {value}", flush=True)
     speed = f"{_steps_per_second():,.0f} per CPU second"
-    print(f"steps of FlexRRR-v0: {speed} (one arm, random actions; median of {ROUNDS} rounds of {TIMED_STEPS} steps)")
+    print(f"steps of FlexRRR-v0: {speed} (one arm, random actions; median of {ROUNDS} rounds of {TIMED_STEPS})")
     return 0
 
 
@@ -75,4 +81,8 @@ def _steps_per_second() -> float:
     return TIMED_STEPS / median(seconds)
 
 
-COMMAND = CommandLine(_arguments, _run)
+EXAMPLES = (
+    "flexman check",
+    "flexman check --json | python3 -m json.tool",
+)
+COMMAND = CommandLine(_arguments, _run, EXAMPLES)

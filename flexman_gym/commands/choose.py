@@ -2,7 +2,7 @@
 
 import argparse
 
-from flexman_gym.commands import CommandLine, add_options
+from flexman_gym.commands import CommandLine, add_options, load_scene
 
 
 def _arguments(parser: argparse.ArgumentParser) -> None:
@@ -15,10 +15,9 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
 
 def _run(options: argparse.Namespace) -> int:
     """Print the chosen method and model, the estimated error, and the omitted parts of the model; return 0."""
-    from flexman_gym.scene.scene import Scene
     from flexman_gym.toolbox.fidelity.model_selection import choose_model
 
-    choice = choose_model(Scene.load(options.scene), options.tolerance)
+    choice = choose_model(load_scene(options.scene), options.tolerance)
     step = "variable steps" if choice.step is None else f"steps of {1e3 * choice.step:.4g} ms"
     print(f"method: {getattr(choice.method, 'name', choice.method)}, {step}")
     print(f"coordinates: {choice.model.n_dof}")
@@ -28,4 +27,5 @@ def _run(options: argparse.Namespace) -> int:
     return 0
 
 
-COMMAND = CommandLine(_arguments, _run)
+EXAMPLES = ("flexman choose paper_ff --tolerance 0.01  # 1 cm",)
+COMMAND = CommandLine(_arguments, _run, EXAMPLES)

@@ -95,4 +95,8 @@ USES: dict[str, Callable[[], None]] = {  # job of `first_use` -> function that u
     "control": _linearize,
     "simulation": _simulate,
 }
-COMMAND = CommandLine(_arguments, _run)
+EXAMPLES = (
+    "flexman compile  # all kernels, once",
+    "flexman compile simulation  # those of flexman simulate",
+)
+COMMAND = CommandLine(_arguments, _run, EXAMPLES)

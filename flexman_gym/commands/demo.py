@@ -70,4 +70,5 @@ def _compare() -> None:
     print(f"   {OUTPUT_FOLDER}/episode.png shows the first episode: tip error over time, and the torques.")
 
 
-COMMAND = CommandLine(_arguments, _run)
+EXAMPLES = ("flexman demo  # ten minutes; plots in the folder out",)
+COMMAND = CommandLine(_arguments, _run, EXAMPLES)

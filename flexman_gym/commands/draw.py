@@ -162,4 +162,9 @@ PLOTS: dict[str, Callable[[argparse.Namespace, Path], list[Path]]] = {
 }  # fmt: skip
 
 
-COMMAND = CommandLine(_arguments, _run)
+EXAMPLES = (
+    "flexman draw modes FlexRRR-v0 --angles 0.3 0.5 -1.0",
+    "flexman draw bode FlexOne-v0 --out loops.png",
+    "flexman draw campbell one_link --fastest 60",
+)
+COMMAND = CommandLine(_arguments, _run, EXAMPLES)

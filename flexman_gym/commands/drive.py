@@ -119,4 +119,8 @@ def _outcome(log: "Episode") -> str:
     return f"  {settling}, error {1e3 * error:.2g} mm and vibration {1e3 * vibration:.2g} mm (p-p) in the last second"
 
 
-COMMAND = CommandLine(_arguments, _run)
+EXAMPLES = (
+    "flexman drive pd --machine sim:FlexOne-v0 --seconds 2",
+    "flexman why drive.npz  # a cause of the error in the log",
+)
+COMMAND = CommandLine(_arguments, _run, EXAMPLES)

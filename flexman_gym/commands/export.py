@@ -172,4 +172,13 @@ TARGETS = {
 }
 
 
-COMMAND = CommandLine(_arguments, _run)
+EXAMPLES = (
+    "flexman export mujoco FlexRRR-v0 --out arm.xml",
+    "flexman export urdf planar_2r arm.urdf",
+    "flexman export c pd --env FlexOne-v0 --out pd  # cd pd; make test",
+    "flexman export matlab FlexOne-v0 --out arm.mat",
+    "flexman export onnx ppo-flexrrr policy.onnx",
+    "flexman train ppo_on_pd_minute --folder runs/first",
+    "flexman export policy runs/first my/first --description 'PPO on PD.'",
+)
+COMMAND = CommandLine(_arguments, _run, EXAMPLES)

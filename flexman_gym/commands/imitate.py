@@ -31,4 +31,8 @@ def _run(options: argparse.Namespace) -> int:
     return train.COMMAND.run(options)
 
 
-COMMAND = CommandLine(_arguments, _run)
+EXAMPLES = (
+    "flexman imitate pd --env FlexPlanar-v0 --set sensors=servo --steps 40000",
+    "flexman evaluate runs/latest pd",
+)
+COMMAND = CommandLine(_arguments, _run, EXAMPLES)

@@ -65,4 +65,8 @@ def _interrupts() -> Iterator[list[int]]:
         signal.signal(signal.SIGINT, before)
 
 
-COMMAND = CommandLine(_arguments, _run)
+EXAMPLES = (
+    "flexman live FlexRRR-v0  # with the PD controller",
+    "flexman live FlexOne-v0 --agent pd --agent lqr-tracking",
+)
+COMMAND = CommandLine(_arguments, _run, EXAMPLES)

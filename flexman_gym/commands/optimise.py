@@ -149,4 +149,9 @@ PURPOSES = {
     "gains": "Tune the PD gains of an environment, with stability margins.",
     "arm": "Optimise the thickness of the links of an arm, its gear ratios and PD gains, with exact gradients.",
 }
-COMMAND = CommandLine(_arguments, _run)
+EXAMPLES = (
+    "flexman optimise slews FlexOne-v0 --seeds 9000 2 --out slews.npz",
+    "flexman optimise gains FlexOne-v0",
+    "flexman optimise arm FlexOne-v0 --out thin.yaml",
+)
+COMMAND = CommandLine(_arguments, _run, EXAMPLES)

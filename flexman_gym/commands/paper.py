@@ -104,4 +104,8 @@ def print_largest(trajectories: Mapping[str, "Trajectory"], figures: Sequence[in
         print(line.rstrip())
 
 
-COMMAND = CommandLine(_arguments, _run)
+EXAMPLES = (
+    "flexman paper  # Figures 6 to 11, in out/paper",
+    "flexman paper --figure 6 --area corrected",
+)
+COMMAND = CommandLine(_arguments, _run, EXAMPLES)

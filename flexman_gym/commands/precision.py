@@ -1,26 +1,30 @@
-"""Chart the error of the tip against computing time, for models and methods of a scene.
+"""Chart the error of the tip in a scene against computing time.
 
 The error is the largest distance of the tip from its motion with four elements a link and foreshortening. The chart
-has the default of the environments in a ring, and MuJoCo, Exudyn and Pinocchio where they are installed.
+has models and methods, with the default of the environments in a ring, and MuJoCo, Exudyn and Pinocchio where they are
+installed.
 """
 
 import argparse
 import math
+import sys
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from flexman_gym.commands import CommandLine, add_options, output_file
+from flexman_gym.commands import CommandLine, add_options, load_scene, output_file
+from flexman_gym.common.formatting import json_text
 
 if TYPE_CHECKING:
     from flexman_gym.toolbox.precision.runs import PrecisionRow
 
 PICTURE = Path("out/precision.png")
-HEAD = f"{'model':<34}{'method':<22}{'step, ms':>10}{'error, mm':>12}{'CPU ms per s':>14}"
+HEAD = f"{'model':<34}{'method':<22}{'step, ms':>9}{'error, mm':>12}{'CPU ms per s':>13}"
 
 
 def _arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command-line arguments."""
-    add_options(parser, "scene")
+    add_options(parser, "scene", "--json")
     parser.add_argument(
         "--method", nargs="+", metavar="METHOD", help="methods, see flexman list methods (default: a selection)"
     )
@@ -33,27 +37,31 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _run(options: argparse.Namespace) -> int:
-    """Run the scene, print a table and draw the chart; return 0."""
-    from flexman_gym.scene.scene import Scene
+    """Run the scene, print a table or JSON document and draw the chart; return 0."""
     from flexman_gym.toolbox.precision.charts import conclusion, draw_scenes, front_of
     from flexman_gym.toolbox.precision.scene_runs import our_rows, peer_timers, precision_scene
 
-    scene = Scene.load(options.scene)
-    result = precision_scene(scene, options.scene.stem)
+    scene = load_scene(options.scene)
+    result = precision_scene(scene, Path(options.scene).stem)
     floor = result.reference.floor
-    print(f"reference: {result.reference.source}; its error is about {1e3 * floor:.2g} mm")
+    table = sys.stderr if options.json else sys.stdout
+    print(f"reference: {result.reference.source}; its error is about {1e3 * floor:.2g} mm", file=table)
     rows = list(our_rows(result, _methods(options.method), options.step))
     timers, left_out = ([], []) if options.own else peer_timers(result)
     rows += [timer() for timer in timers]
     best = front_of(rows, floor)
-    print(HEAD)
-    for row in rows if options.all else [*best, *rows[:1], *rows[len(rows) - len(timers) :]]:
-        print(_line(row, "default" if row is rows[0] else ""), flush=True)
-    print("\n".join([*left_out, conclusion(rows)]))
+    shown = rows if options.all else [*best, *rows[:1], *rows[len(rows) - len(timers) :]]
+    if options.json:
+        reference = {"source": result.reference.source, "error": floor}
+        texts = {"left_out": left_out, "conclusion": conclusion(rows)}
+        print(json_text({"reference": reference, "runs": [*map(asdict, shown)], **texts}))
+    else:
+        print("\n".join([HEAD, *(_line(row, "default" if row is rows[0] else "") for row in shown)]))
+        print("\n".join([*left_out, conclusion(rows)]), flush=True)
     try:
-        print(f"{draw_scenes([(rows, floor, conclusion(rows))], options.out)} shows all runs")
+        print(f"{draw_scenes([(rows, floor, conclusion(rows))], options.out)} shows all runs", file=table)
     except ImportError as error:
-        print(error)
+        print(error, file=table)
     return 0
 
 
@@ -75,7 +83,11 @@ def _line(row: "PrecisionRow", note: str) -> str:
     error = row.total_error
     shown = f"{1e3 * error:.3g}" if row.status == "ok" and error is not None and math.isfinite(error) else row.status
     step = f"{1e3 * row.step:.3g}" if row.step is not None else ""
-    return f"{row.model:<34}{row.method:<22}{step:>10}{shown:>12}{1e3 * row.cpu:>14.3g}  {note}".rstrip()
+    return f"{row.model:<34}{row.method:<22}{step:>9}{shown:>12}{1e3 * row.cpu:>13.3g}  {note}".rstrip()
 
 
-COMMAND = CommandLine(_arguments, _run)
+EXAMPLES = (
+    "flexman precision paper_ff --own --method gauss_3",
+    "flexman precision paper_rr --own --method rk4 --json | python3 -m json.tool",
+)
+COMMAND = CommandLine(_arguments, _run, EXAMPLES)

@@ -46,4 +46,5 @@ def _run(options: argparse.Namespace) -> int:
     return 0
 
 
-COMMAND = CommandLine(_arguments, _run)
+EXAMPLES = ("flexman record lqr --env FlexOne-v0 --episodes 10",)
+COMMAND = CommandLine(_arguments, _run, EXAMPLES)

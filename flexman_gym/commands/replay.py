@@ -28,4 +28,8 @@ def _run(options: argparse.Namespace) -> int:
     return 0
 
 
-COMMAND = CommandLine(_arguments, _run)
+EXAMPLES = (
+    "flexman simulate paper_ff --out ff.npz",
+    "flexman replay ff.npz --out ff.html  # opens in a browser",
+)
+COMMAND = CommandLine(_arguments, _run, EXAMPLES)

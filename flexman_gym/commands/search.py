@@ -50,4 +50,8 @@ def _run(options: argparse.Namespace) -> int:
     return 0
 
 
-COMMAND = CommandLine(_arguments, _run)
+EXAMPLES = (
+    "echo 'hyperparameters: {gamma: {low: 0.9, high: 0.999}}' > over.yaml",
+    "flexman search ppo_on_pd_minute --over over.yaml --trials 2",
+)
+COMMAND = CommandLine(_arguments, _run, EXAMPLES)

@@ -20,6 +20,7 @@ from flexman_gym.commands import CommandLine, output_file
 from flexman_gym.common.checks import finite, whole_number
 from flexman_gym.common.errors import value_error
 from flexman_gym.common.files import write_file
+from flexman_gym.common.formatting import text_table
 
 if TYPE_CHECKING:
     from flexman_gym.model.model import Model
@@ -271,17 +272,15 @@ def _shaper_lines(evaluations: "Sequence[ShaperEvaluation]") -> list[str]:
     from flexman_gym.toolbox.controllers.input_shaping.shapers import TOLERATED_RESIDUAL
 
     count = evaluations[0].residuals.shape[1]
-    heads = "".join(f"{f'mode {number + 1}, %':>16}" for number in range(count))
-    result = [
-        f"{'shaper, of modes':<20}{'delay, s':>10}{f'error at {TOLERATED_RESIDUAL:g} %':>20}{'tip, %':>16}{heads}"
-    ]
+    modes = [f"mode {number + 1}, %" for number in range(count)]
+    heads, rows = ["shaper, of modes", "delay, s", f"error at {TOLERATED_RESIDUAL:g} %", "tip, %", *modes], []
     for each in evaluations:
         errors = f"{each.tolerated_errors[0]:+.0%} to {each.tolerated_errors[1]:+.0%}"
         columns = [each.tip, *each.residuals.T]
-        cells = "".join(f"{f'{np.median(residual):.1f} / {residual.max():.1f}':>16}" for residual in columns)
-        result.append(f"{_shaper_name(each):<20}{each.delay:>10.3g}{errors:>20}{cells}")
+        cells = [f"{np.median(residual):.1f} / {residual.max():.1f}" for residual in columns]
+        rows.append([_shaper_name(each), f"{each.delay:.3g}", errors, *cells])
     return [
-        *result,
+        *text_table(heads, rows),
         f"error: change of the frequency with a residual vibration of {TOLERATED_RESIDUAL:g} %",
         "tip and modes: residual vibration, median / worst case, in percent of that after an unshaped step",
     ]
@@ -337,4 +336,8 @@ def _write_table(path: Path, cases: "Sequence[OperatingPoint]", evaluations: "Se
     write_file(path, text.getvalue())
 
 
-COMMAND = CommandLine(_arguments, _run)
+EXAMPLES = (
+    "flexman shape FlexRRR-v0  # modes, and a recommended shaper",
+    "flexman shape planar_2r --postures 4 --csv modes.csv",
+)
+COMMAND = CommandLine(_arguments, _run, EXAMPLES)

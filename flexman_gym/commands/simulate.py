@@ -1,10 +1,11 @@
 """Simulate a scene file and write its motion to a table."""
 
 import argparse
+from pathlib import Path
 
 import numpy as np
 
-from flexman_gym.commands import CommandLine, add_options, output_file
+from flexman_gym.commands import CommandLine, add_options, load_scene, output_file
 
 
 def _arguments(parser: argparse.ArgumentParser) -> None:
@@ -28,14 +29,13 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
 def _run(options: argparse.Namespace) -> int:
     """Simulate and print a summary; return 0, or 1 if the simulation fails before its end."""
     from flexman_gym.common.files import write_file
-    from flexman_gym.scene.scene import Scene
     from flexman_gym.simulation.episode import Episode
     from flexman_gym.simulation.scene_simulation import simulate
 
-    scene = Scene.load(options.scene)
+    scene = load_scene(options.scene)
     result = simulate(scene, method=options.method, step=options.step, rtol=options.rtol)
     if options.out is not None and options.out.suffix == ".npz":
-        Episode.from_trajectory(result, options.scene.stem).save(options.out)
+        Episode.from_trajectory(result, Path(options.scene).stem).save(options.out)
     elif options.out is not None:
         columns = {"tip": result.tip, "joint_angle": result.joint_angles, "motor_angle": result.motor_angles}
         heads = [f"{name}_{i}" for name, values in columns.items() for i in range(1, values.shape[1] + 1)]
@@ -50,4 +50,9 @@ def _run(options: argparse.Namespace) -> int:
     return int(result.status != "ok")
 
 
-COMMAND = CommandLine(_arguments, _run)
+EXAMPLES = (
+    "flexman simulate paper_ff --out motion.csv",
+    "flexman simulate paper_rr --method rk4 --step 0.001",
+    "flexman simulate paper_fr --out fr.npz  # for flexman replay",
+)
+COMMAND = CommandLine(_arguments, _run, EXAMPLES)

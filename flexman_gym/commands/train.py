@@ -195,4 +195,9 @@ def _test_records(cell: "tuple[str, Configuration]") -> "Sequence[EpisodeRecord]
     return rollout(*cell, TEST_SEEDS).records
 
 
-COMMAND = CommandLine(_arguments, _run)
+EXAMPLES = (
+    "flexman train ppo_on_pd_minute --folder runs/first  # 1.5 minutes",
+    "flexman train --resume --folder runs/first --steps 300000",
+    "flexman train planar_ppo_on_pd --seeds 2 --folder runs/two",
+)
+COMMAND = CommandLine(_arguments, _run, EXAMPLES)

@@ -64,4 +64,8 @@ def _run(options: argparse.Namespace) -> int:
     return judged.exit_code
 
 
-COMMAND = CommandLine(_arguments, _run)
+EXAMPLES = (
+    "flexman verify --quick",
+    "flexman verify papers --json papers.json",
+)
+COMMAND = CommandLine(_arguments, _run, EXAMPLES)

@@ -94,4 +94,5 @@ def _dominant_tone(results: "Sequence[Diagnosis]", cause: str) -> str:
     return f": {name}{', ' if name else ''}at {middle:.3g} Hz"
 
 
-COMMAND = CommandLine(_arguments, _run)
+EXAMPLES = ("flexman why pd lqr --env FlexOne-v0 --episodes 5",)
+COMMAND = CommandLine(_arguments, _run, EXAMPLES)

@@ -162,6 +162,16 @@ def evaluate(
         >>> result["settling_time"] < 3.0  # s
         True
     """
-    records = rollout(agent, environment, seeds, safety=safety).records
+    return all_metrics(rollout(agent, environment, seeds, safety=safety).records)
+
+
+def all_metrics(records: Sequence[EpisodeRecord]) -> dict[str, float]:
+    """Return all metrics of METRICS over some episodes, and those of limits and of the safety filter if they apply."""
     metrics = (*METRICS.values(), *limit_metrics(records[0]))
     return {metric.name: metric.evaluate(records) for metric in metrics}
+
+
+def median_intervals(records: Sequence[EpisodeRecord]) -> dict[str, tuple[float, float]]:
+    """Return the ends of the bootstrap intervals of the medians of METRICS over some episodes."""
+    medians = [metric for metric in METRICS.values() if metric.statistic == MEDIAN]
+    return {metric.name: metric.interval(records)[1:] for metric in medians}

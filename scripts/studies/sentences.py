@@ -16,7 +16,7 @@ from flexman_gym.model.model import build_model
 from flexman_gym.model.vibration import modes
 from flexman_gym.scene import catalog
 from flexman_gym.toolbox.league.certificate_file import exceeded_limits
-from flexman_gym.toolbox.precision.charts import cheapest_equal
+from flexman_gym.toolbox.precision.charts import cheapest_equal, ratio_text
 from flexman_gym.toolbox.verification.table import FAIL, PASS
 from studies.control.page import share_over_arms
 from studies.environments.measure import LONG_NAME
@@ -180,7 +180,7 @@ def _default_cost(sources: Sources) -> tuple[str, str, str]:
     rows = [row for row in sources.peers if row.scene == PAPER]
     equal = cheapest_equal(rows)
     assert equal is not None and rows[0].total_error is not None
-    return f"{1e3 * rows[0].total_error:.2g}", f"{1e3 * rows[0].cpu:.2g}", f"{equal.cpu / rows[0].cpu:.2g}"
+    return f"{1e3 * rows[0].total_error:.2g}", f"{1e3 * rows[0].cpu:.2g}", ratio_text(equal, rows[0])
 
 
 def _exceeded(sources: Sources) -> tuple[str, str]:

@@ -4,6 +4,7 @@ from itertools import accumulate
 
 import pytest
 
+from flexman_gym.__main__ import main
 from flexman_gym.commands import check
 
 SECONDS = (0.05, 0.05, 0.1, 40.0, 0.025)  # CPU time of each round
@@ -21,6 +22,6 @@ def test_the_speed_is_that_of_cpu_time_and_a_slow_round_does_not_count(monkeypat
 
 def test_the_line_of_the_speed_says_how_it_is_measured(monkeypatch, capsys):
     monkeypatch.setattr(check, "_steps_per_second", lambda: 12345.6)
-    assert check._run(None) == 0
+    assert main(["check"]) == 0
     last = capsys.readouterr().out.splitlines()[-1]
     assert last.startswith("steps of FlexRRR-v0: 12,346 per CPU second (one arm, random actions; median of 5 rounds")

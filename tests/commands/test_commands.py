@@ -2,6 +2,7 @@
 
 import ast
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -13,10 +14,12 @@ import pytest
 import flexman_gym as fm
 from flexman_gym.__main__ import COMMAND_GROUPS, main
 from flexman_gym.agent.base_controllers import BASES
+from flexman_gym.commands import load_scene
 from flexman_gym.commands.list import KINDS
 from flexman_gym.commands.optimise import PURPOSES
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
+from flexman_gym.envs.config.settings import SETTINGS
 from flexman_gym.envs.registration import CONDITIONS
 from flexman_gym.envs.sensors import SENSOR_NAMES
 from flexman_gym.toolbox.diagnosis.diagnosis import REMEDIES, RINGING, Diagnosis, diagnose
@@ -68,6 +71,16 @@ def test_help_has_every_command_in_one_group_and_a_line(capsys):
         assert within.startswith(" ".join(summaries)), "each summary as a whole"
 
 
+def test_program_alone_prints_its_help(capsys):
+    helps = []
+    for given in ([], ["--help"]):
+        with pytest.raises(SystemExit) as stop:
+            main(given)
+        assert stop.value.code == 0
+        helps.append(capsys.readouterr().out)
+    assert helps[0] == helps[1] and helps[0].startswith("usage: flexman COMMAND [options]")
+
+
 @pytest.mark.parametrize(("typed", "meant"), [("trian", "train"), ("eval", "evaluate"), ("sim", "simulate"),
                                               ("optimize", "optimise"), ("shappe", "shape")])  # fmt: skip
 def test_a_misspelt_command_is_answered_with_the_nearest(typed, meant, capsys):
@@ -85,9 +98,10 @@ def test_each_kind_of_optimisation_has_its_help(kind, capsys):
     assert stop.value.code == 0 and len(capsys.readouterr().out.splitlines()) <= SCREEN
 
 
-def test_the_version_is_that_of_the_package(capsys):
+@pytest.mark.parametrize("option", ["--version", "-V"])
+def test_the_version_is_that_of_the_package(option, capsys):
     with pytest.raises(SystemExit) as stop:
-        main(["--version"])
+        main([option])
     assert stop.value.code == 0 and capsys.readouterr().out == f"{fm.__version__}\n"
 
 
@@ -96,21 +110,24 @@ def test_list_has_all_that_has_a_name(capsys):
     pytest.importorskip("stable_baselines3")
     names = {
         "environments": NAMED_ENVIRONMENTS, "conditions": CONDITIONS, "controllers": BASES, "sensors": SENSOR_NAMES,
-        "methods": fm.METHODS,
+        "methods": fm.METHODS, "settings": SETTINGS,
     }  # fmt: skip
     assert main(["list"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert [line.rstrip(":") for line in lines if not line.startswith(" ")] == list(KINDS)
+    assert max(len(line) for line in lines if str(ROOT) not in line) <= 100
     for what, known in names.items():
         assert main(["list", what]) == 0
         said = capsys.readouterr().out.splitlines()
-        assert said[0] == f"{what}:" and [line.split()[0] for line in said[1:]] == list(known)
+        first = [line.split()[0] for line in said[1:] if line[2] != " "]  # a longer description goes on below
+        assert said[0] == f"{what}:" and first == list(known)
         assert all(line in lines for line in said)
 
 
 def test_examples_are_listed_with_their_paths_and_a_sentence(capsys):
     assert main(["list", "examples"]) == 0
-    lines = [line.split(maxsplit=1) for line in capsys.readouterr().out.splitlines()[1:]]
+    text = capsys.readouterr().out.partition("\n")[2]
+    lines = [each.strip().split(maxsplit=1) for each in re.split(r"\n(?=  /)", text)]
     assert [path for path, _ in lines] == sorted(str(path) for path in (ROOT / "docs/examples").glob("*.*"))
     assert all(len(words.split()) > 3 for _, words in lines)
 
@@ -128,6 +145,12 @@ def test_simulate_keeps_the_motion_as_a_table(tmp_path, capsys):
     assert rows[:, -1] == pytest.approx(expected.energy, rel=1e-10, abs=1e-10)
     said = capsys.readouterr().out
     assert said.startswith(f"status: ok, to {expected.time[-1]:g} s") and "largest residual" in said
+
+
+@pytest.mark.parametrize("case", ["rr", "fr", "ff"])
+def test_scenes_of_the_paper_have_names(case):
+    assert load_scene(f"paper_{case}") == fm.catalog.paper_scene(case)
+    assert load_scene(str(REFERENCE / f"paper_{case}.json")) == fm.Scene.load(REFERENCE / f"paper_{case}.json")
 
 
 def test_a_simulation_that_diverges_ends_with_1(capsys):
@@ -199,14 +222,14 @@ def test_the_league_is_played_and_grows(tmp_path, capsys):
         "1 of 2: zero on FlexOne-v0", "2 of 2: privileged-lqr on FlexOne-v0", "1 of 1: pd on FlexOne-v0"
     ]  # fmt: skip
     assert len((tmp_path / "rows.csv").read_text().splitlines()) == 1 + 3 * 2, "as many episodes as the others"
-    assert all(any(line.startswith(f"| `{agent}` |") for line in lines) for agent in ("zero", "privileged-lqr", "pd"))
+    assert all(any(line.startswith(f"{agent} ") for line in lines) for agent in ("zero", "privileged-lqr", "pd"))
 
 
 def test_a_league_is_redrawn_without_a_run(tmp_path, capsys, monkeypatch):
     chosen = ["--agents", "zero", "--scenarios", "FlexOne-v0"]
     assert main(["league", "--folder", str(tmp_path), "--episodes", "1", *chosen]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert lines[1:4] == ["| agent | FlexOne-v0 |", "| --- | --- |", "| `zero` | 0 % |"]
+    assert lines[1:3] == ["agent  FlexOne-v0", "zero          0 %"]
     page = (tmp_path / "league.md").read_bytes()
     (tmp_path / "league.md").write_text(page.decode().partition("Computed")[1] + page.decode().partition("Computed")[2])
     monkeypatch.setattr(rows, "run_league", None)
@@ -261,6 +284,7 @@ LEAGUE = ROOT / "docs" / "league"
         ),
         (["league", "--scenarios", "FlexPlanar-v9"], "environment: FlexPlanar-v9 does not exist"),
         (["simulate", "nowhere.json"], "nowhere.json: there is no such file"),
+        (["simulate", "paper_f"], "paper_f does not exist; give a .json or .yaml file, or one of paper_rr, paper_fr, "),
         (["simulate", SCENE, "--method", "rk5"], "method: 'rk5' is not allowed; give one of "),
         (["choose", SCENE, "--tolerance", "0"], "tolerance: 0.0 is not allowed; give a finite number > 0"),
         (["precision", SCENE, "--method", "rk5"], "method: 'rk5' is not allowed; give one of "),
@@ -305,6 +329,8 @@ def test_the_exit_status_says_whether_a_policy_is_within_its_limits(
     monkeypatch.setattr(certificate, "certify", lambda *_, **__: path)
     assert main(["league", "--agent", "lab-flexrrr"]) == status
     assert capsys.readouterr().out == f"{path}: {words}\n"
+    assert main(["league", "--agent", "lab-flexrrr", "--json"]) == status
+    assert json.loads(capsys.readouterr().out) == json.loads(path.read_text())
 
 
 def drawn(capsys, *words):

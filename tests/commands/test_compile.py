@@ -102,7 +102,7 @@ def test_check_says_where_kernels_come_from(tmp_path, monkeypatch, capsys):
     assert "nothing to compile: this installation brings machine code for x86-64-v3" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("wrong", [[], ["fly"], ["compile", "two"]])
+@pytest.mark.parametrize("wrong", [["--fly"], ["fly"], ["compile", "two"]])
 def test_a_wrong_command_is_refused(wrong, capsys):
     with pytest.raises(SystemExit) as stop:
         __main__.main(wrong)

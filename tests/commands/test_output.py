@@ -2,8 +2,10 @@
 
 import ast
 import os
+import pty
 import subprocess
 import sys
+from contextlib import suppress
 
 import pytest
 
@@ -74,3 +76,34 @@ def test_rows_of_simulated_cases_are_whole_between_messages(monkeypatch, capfd):
     assert lines[::2] == ["  kernel: about 3 s left"] * 3
     assert [line[:33].strip() for line in lines[1::2]] == list(PAPER_CASES.values())
     assert all(line.endswith(" J") for line in lines[1::2])
+
+
+def on_terminal(words, **variables):
+    """Return what a command prints on a terminal with environment variables."""
+    main_end, other_end = pty.openpty()
+    environment = {"TERM": "xterm", **{name: each for name, each in os.environ.items() if name != "NO_COLOR"}}
+    done = subprocess.run([sys.executable, "-m", "flexman_gym", *words], stdout=other_end, env=environment | variables)
+    os.close(other_end)
+    printed = b""
+    with suppress(OSError):  # at the end
+        while part := os.read(main_end, 4096):
+            printed += part
+    os.close(main_end)
+    assert done.returncode == 0
+    return printed.decode().replace("\r\n", "\n")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("words", "heading"), [
+    (["list", "methods"], "methods:"), (["--help"], "start:"), (["list", "--help"], "EXAMPLES"),
+], ids=" ".join)  # fmt: skip
+def test_headings_are_bold_on_a_terminal_only(words, heading):
+    command = [sys.executable, "-m", "flexman_gym", *words]
+    piped = subprocess.run(
+        command, capture_output=True, text=True, check=True, env=os.environ | {"COLUMNS": "80"}
+    ).stdout
+    assert "\033" not in piped and f"{heading}\n" in piped
+    assert f"\033[1m{heading}\033[0m\n" in (seen := on_terminal(words, COLUMNS="80", TERM="xterm"))
+    assert seen.replace("\033[1m", "").replace("\033[0m", "") == piped
+    for variables in ({"NO_COLOR": "1", "TERM": "xterm"}, {"TERM": "dumb"}):
+        assert on_terminal(words, COLUMNS="80", **variables) == piped

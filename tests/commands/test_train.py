@@ -46,7 +46,8 @@ def test_an_environment_file_and_changes_reach_the_run_and_its_evaluation(run, t
     code, out, err = run("evaluate", folder, "pd", "zero", "--episodes", 2)
     assert code == 0 and err == ""
     assert out.startswith("2 episodes of FlexOne-v0 (arm, gains, horizon), the same for all")
-    assert [line.split()[0] for line in out.splitlines()[2:-1]] == [str(folder), "pd", "zero"]
+    first, *others = [line.split()[0] for line in out.splitlines()[2:-1]]
+    assert str(folder).endswith(first.removeprefix("...")) and others == ["pd", "zero"]
     other = run("evaluate", folder, "pd", "--episodes", 2, "--set", "horizon=1.2")[1]
     assert other.splitlines()[2:] != out.splitlines()[2:]
 
@@ -70,7 +71,8 @@ def test_several_seeds_are_several_runs_with_a_table_of_their_test_episodes(run,
     assert [json.loads((tmp_path / f"seed-{i}" / SETTINGS).read_text())["seed"] for i in (5, 6)] == [5, 6]
     *known, everything, caption, last = out.splitlines()
     evaluated = run("evaluate", tmp_path / "seed-5", tmp_path / "seed-6")[1]
-    assert [*known, caption] == evaluated.splitlines() and known[0].startswith("100 episodes of FlexOne-v0")
+    assert [line.split() for line in [*known, caption]] == [line.split() for line in evaluated.splitlines()]
+    assert known[0].startswith("100 episodes of FlexOne-v0")
     assert everything.startswith("all seeds ") and last.startswith("all seeds: intervals")
     times = {path: path.stat().st_mtime_ns for path in tmp_path.glob("*/newest.npz")}
     assert run(*train, "--seeds", 2)[:2] == (0, out), "runs that are done are evaluated again"

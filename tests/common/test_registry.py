@@ -136,6 +136,6 @@ main(["list", "controllers"])
     assert done.returncode == 0, done.stderr
     assert "'largest_torque'" in done.stdout and "True" in done.stdout
     print(done.stdout)
-    assert "| `damper` |" in done.stdout and "  damper " in done.stdout
+    assert "\ndamper " in done.stdout and "\n  damper " in done.stdout
     assert "plug-in of arm-extras: robot.wrong = arm_extras:make_damper is left out" in done.stderr
     assert "controller broken: arm_extras.missing:make of a plug-in cannot be imported" in done.stderr

@@ -25,6 +25,7 @@ from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.scene.serialization import find_arm
 from flexman_gym.toolbox.deployment.machine import simulated
 
+from oracles.commands import use_less_episodes, with_less_work
 from oracles.files import ROOT
 from oracles.machines import FakeSimulatedMachine
 
@@ -32,12 +33,6 @@ BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 DOCS, README = ROOT / "docs", (ROOT / "README.md").read_text(encoding="utf-8")
 TEXTS = {str(path.relative_to(DOCS))[:-3]: path.read_text(encoding="utf-8") for path in sorted(DOCS.rglob("*.md"))}
 PAGES = [page for page, text in TEXTS.items() if "python" in [language for language, _ in BLOCK.findall(text)]]
-# What a command or a training of a page takes here, in place of what it says.
-LESS = {"--steps": "512", "--episodes": "2", "--eval-every": "256", "--seeds": "2"}
-LESS_EPISODES = (("flexman_agents.callbacks", "SELECTION_SEEDS", range(5000, 5002)),
-                 ("flexman_agents.guard", "SELECTION_SEEDS", range(5000, 5002)),
-                 ("flexman_gym.toolbox.league.arm_trial", "EPISODES", 2),
-                 ("flexman_gym.evaluation.rollouts", "TEST_SEEDS", range(9000, 9002)))  # fmt: skip
 LESS_IN_PYTHON = (
     (r"STEPS = [\d_]+", "STEPS = 256"), (r"circles\(\d+\)", "circles(4)"), (r'-v0", 256', '-v0", 4'),
     (r"horizon=2.0", "horizon=0.4"), (r"n_eval_episodes=10", "n_eval_episodes=2"),
@@ -74,14 +69,8 @@ def run_commands(lines):
     """Run the commands of a block that are our scripts, on two arms; videos are written as shorter GIFs."""
     for words in map(shlex.split, lines.replace(".mp4", ".gif").splitlines()):
         assert words[0] == "flexman", words
-        for option in LESS.keys() & set(words):
-            words[words.index(option) + 1] = LESS[option]
-        if words[1] == "train":
-            words += ["--quiet", *([] if "--resume" in words else ["--envs", "2"])]
-            words += [] if {"--steps", "--resume"} & set(words) else ["--steps", LESS["--steps"]]
-            words += ["--keep-worse"] if "--arm" in words else []  # after few steps the base is better
         with contextlib.redirect_stdout(io.StringIO()):
-            assert main(words[1:]) == 0, words
+            assert main(with_less_work(words[1:])) == 0, words
 
 
 @pytest.mark.slow
@@ -91,10 +80,7 @@ def test_a_page_runs_and_prints_what_it_says(page, checkout, monkeypatch):
         words in text for _, text in blocks(page) for words in ("stable_baselines3", "flexman_agents", "flexman train")
     ):
         pytest.importorskip("stable_baselines3")
-        for module, name, seeds in LESS_EPISODES:
-            monkeypatch.setattr(importlib.import_module(module), name, seeds)
-        defaults = importlib.import_module("flexman_agents.settings").DEFAULT_HYPERPARAMETERS
-        monkeypatch.setitem(defaults["dagger"], "updates", 5)
+        use_less_episodes(monkeypatch)
     if any("matplotlib" in text or "flexman draw" in text for _, text in blocks(page)):
         pytest.importorskip("matplotlib").use("Agg")
     if any("control.hinf" in text for _, text in blocks(page)):

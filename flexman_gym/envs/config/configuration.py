@@ -34,7 +34,7 @@ NESTED_SETTINGS = ("arm", "task", "limits", "foundation")  # settings with field
 DERIVED = ("control_period", "horizon", "limits", "slew_time")  # settings that follow from an arm of the user
 MAX_PERIODS = 10**9  # control periods; longest episode
 HINTS = {foreign: hint for setting in SETTINGS.values() for foreign, hint in setting.foreign.items()}
-SET_HELP = f"environment setting: {', '.join(SETTINGS)}; arm.payload.mass=0.5 changes a part"
+SET_HELP = "setting of the environment (flexman list settings), or a part of one: arm.payload.mass=0.5"
 
 
 class Configuration(EnvironmentSettings):

@@ -43,8 +43,12 @@ def describe_policy(name: str) -> str:
     metadata, certificate = read_json(FOLDER / name / METADATA), read_certificate(FOLDER / name)
     text, row = f"{metadata['words']} ", metadata["league"]
     if row:
-        text += f"{row['environment']}: {row['settled']:.0%} settle, median {row['settling_time']:.2f} s, "
-        text += f"vibration {millimetres(row['vibration'])}. "
+        results = [f"{row['settled']:.0%} settle"]
+        if row["settling_time"] is not None:  # infinite, if most episodes do not settle
+            results.append(f"median {row['settling_time']:.2f} s")
+        if row["vibration"] is not None:
+            results.append(f"vibration {millimetres(row['vibration'])}")
+        text += f"{row['environment']}: {', '.join(results)}. "
     if certificate is None:
         return text + "It has no certificate."
     exceeded = [

@@ -5,8 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from flexman_gym.common.errors import value_error
-from flexman_gym.common.formatting import number_text, percent
-from flexman_gym.common.markdown import markdown_table
+from flexman_gym.common.formatting import number_text, percent, text_table
 from flexman_gym.envs.config.named_environments import DEFAULT_ID
 from flexman_gym.evaluation.agent_info import describe_agent, training_seconds
 from flexman_gym.evaluation.metrics import LIMIT_METRICS, MEDIAN, SHARE, Metric, task_metrics
@@ -81,12 +80,12 @@ def _overall_table(standings: Standings) -> list[str]:
         action, start = standings.cost(agent, standings.scenarios)
         trained = training_seconds(agent)
         rows.append([
-            f"`{agent}`", describe_agent(agent).needs, _interval_text(standings.overall[agent]),
+            agent, describe_agent(agent).needs, _interval_text(standings.overall[agent]),
             f"{count - len(standings.missed(agent))} of {count}", _probability_text(won) if won else "-",
             number_text(action), number_text(1e-3 * start), "-" if trained is None else number_text(trained / 60.0),
         ])  # fmt: skip
     heads = ["agent", "given", "score", "scenarios", "better", "action, CPU us", "start, CPU ms", "training, CPU min"]
-    return [*markdown_table(heads, rows), f"scenarios: {', '.join(map(short_name, standings.counted))}"]
+    return [*text_table(heads, rows), f"scenarios: {', '.join(map(short_name, standings.counted))}"]
 
 
 def _sweep_table(standings: Standings, name: str, values: dict[str, float]) -> list[str]:
@@ -108,11 +107,11 @@ def _scenario_table(standings: Standings, scenario: str) -> list[str]:
         cells = [_cell(metric, standings.values(agent, scenario, metric.name)) for metric in metrics]
         for name in [DAMPING] * slews + [TIME_RATIO] * bool(times):
             cells.append(_interval_text(median_interval(np.array([*standings.values(agent, scenario, name).values()]))))
-        rows.append([f"`{agent}`", _interval_text(scores[agent]), *cells])
+        rows.append([agent, _interval_text(scores[agent]), *cells])
     count = len({seed for place, _, seed in standings.results.rows if place == scenario})
     heads = ["agent", "score", *(metric.header for metric in metrics), *["damping"] * slews,
              *["times optimised"] * bool(times)]  # fmt: skip
-    return [f"{scenario}: {count} episodes", *markdown_table(heads, rows), *_notes(standings, scenario, agents)]
+    return [f"{scenario}: {count} episodes", *text_table(heads, rows), *_notes(standings, scenario, agents)]
 
 
 def _notes(standings: Standings, scenario: str, agents: Sequence[str]) -> list[str]:
@@ -139,7 +138,7 @@ def _cell(metric: Metric, values: dict[int, float]) -> str:
 
 def _interval_text(numbers: Interval) -> str:
     middle, low, high = map(number_text, numbers)
-    return middle if middle == low == high else f"{middle} ({low} to {high})"
+    return middle if middle == low == high else f"{middle} ({low}-{high})"
 
 
 def _probability_text(numbers: Interval) -> str:

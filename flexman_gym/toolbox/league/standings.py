@@ -7,8 +7,7 @@ from functools import cache, cached_property
 import numpy as np
 
 from flexman_gym.common.arrays import Array
-from flexman_gym.common.formatting import number_text
-from flexman_gym.common.markdown import markdown_table
+from flexman_gym.common.formatting import number_text, text_table
 from flexman_gym.evaluation.agent_info import describe_agent
 from flexman_gym.evaluation.agent_spec import SIMPLE_AGENTS
 from flexman_gym.metrics import (
@@ -165,8 +164,8 @@ class Standings:
 
     def settling_table(self, agents: Iterable[str], scenarios: Iterable[str], heads: Sequence[str]) -> list[str]:
         """Return a table with these heads, and a row for each agent: name, and result in each scenario."""
-        rows = [[f"`{each}`", *(self.settling_text(each, name) for name in scenarios)] for each in agents]
-        return markdown_table(heads, rows)
+        rows = [[each, *(self.settling_text(each, name) for name in scenarios)] for each in agents]
+        return text_table(heads, rows)
 
     def settling_text(self, agent: str, scenario: str) -> str:
         """Return the share of settled episodes and the median settling time, or the score for a moving goal.

@@ -2,7 +2,9 @@
 
 import math
 from collections.abc import Iterable, Sequence
+from itertools import accumulate
 from pathlib import Path
+from textwrap import wrap
 from typing import Any
 
 from flexman_gym.common.plot_style import BLUE, BROWN, GREEN, LIGHT, PURPLE, RED, SLATE, new_figure, save_figure
@@ -11,13 +13,15 @@ from flexman_gym.toolbox.precision.scene_runs import DEFAULT
 
 CHOSEN = "chosen for "  # begins the name of a model of `choose_model`, before its tolerance
 DPI = 100.0  # pixels per inch of a chart in a page
-PANEL = (4.4, 3.5)  # inches; width and height of a panel
+PANEL = (4.4, 3.7)  # inches; width and height of a panel
 COST, ERROR = "computing time, CPU s per simulated s", "largest error of the tip, m"
-PEERS = {  # words in the name of the model -> label, colour, marker; the first that fits
-    "MuJoCo, rods": ("MuJoCo, rods", PURPLE, "D"), "MuJoCo, rigid": ("MuJoCo, rigid", BROWN, "X"),
-    "MuJoCo": ("MuJoCo, rigid pieces", RED, "o"), "Exudyn": ("Exudyn, floating frame", SLATE, "P"),
-    "Pinocchio": ("Pinocchio, rigid", BROWN, "s"), "SoRoMoX": ("SoRoMoX", GREEN, "v"),
+PEERS = {  # words in the name of the model -> label, colour, marker, offset of the label, points; the first that fits
+    "MuJoCo, rods": ("MuJoCo, rods", PURPLE, "D", (8, -15)), "MuJoCo, rigid": ("MuJoCo, rigid", BROWN, "X", (12, 7)),
+    "MuJoCo": ("MuJoCo, rigid pieces", RED, "o", (12, -14)), "Exudyn": ("Exudyn, floating frame", SLATE, "P", (8, 10)),
+    "Pinocchio": ("Pinocchio, rigid", BROWN, "s", (8, -13)), "SoRoMoX": ("SoRoMoX", GREEN, "v", (12, 6)),
 }  # fmt: skip
+TITLE_WIDTH = 50  # characters of a line of the title of a panel
+HIGHEST = 2.0  # largest error in a panel / that of the cheapest of our runs
 
 
 def family_of(row: PrecisionRow) -> str | None:
@@ -73,7 +77,12 @@ def conclusion(rows: Sequence[PrecisionRow]) -> str:
     equal = cheapest_equal(rows)
     if equal is None:
         return f"{reached}; no other simulator has a smaller error"
-    return f"{reached}; {equal.model.split(',')[0]} takes {equal.cpu / default.cpu:.2g} times as long for its error"
+    return f"{reached}; {equal.model.split(',')[0]} takes {ratio_text(equal, default)} times as long for its error"
+
+
+def ratio_text(one: PrecisionRow, other: PrecisionRow) -> str:
+    """Return the cost of a run / that of another one, with two digits."""
+    return f"{float(f'{one.cpu / other.cpu:.2g}'):g}"
 
 
 def draw_panel(axes: Any, rows: Sequence[PrecisionRow], floor: float, title: str) -> None:
@@ -88,37 +97,42 @@ def draw_panel(axes: Any, rows: Sequence[PrecisionRow], floor: float, title: str
         title: title of the panel.
     """
     axes.set(xscale="log", yscale="log")
-    axes.set_title(title, fontsize=10, loc="left")
+    lines = [part for line in title.split("\n") for part in wrap(line, TITLE_WIDTH)]
+    axes.set_title("\n".join(lines), fontsize=9, loc="left")
     ours = [row for row in rows if family_of(row) is None and math.isfinite(_error(row))]
     axes.plot(*_points(ours), ".", color=BLUE, markersize=3.0, alpha=0.35)
     front = front_of(rows, floor)
-    axes.plot(*_points(front), color=BLUE, linewidth=2.0, drawstyle="steps-post")
+    costs, errors = _points(front)
+    axes.plot(costs, [*accumulate(errors, min)], color=BLUE, linewidth=2.0, drawstyle="steps-post")
     if front:
-        _label(axes, front[-1], "flexman_gym,\ncheapest runs", BLUE, (4, 6))
-    for words, (label, colour, marker) in PEERS.items():
+        _label(axes, front[-1], "flexman_gym", BLUE, (4, 4), "left")
+    for words, (label, colour, marker, offset) in PEERS.items():
         mine = [row for row in rows if family_of(row) == words and math.isfinite(_error(row))]
         if mine:
             axes.plot(*_points(mine), marker, color=colour, markersize=6.0)
-            _label(axes, min(mine, key=_error), label, colour, (5, -12))
+            _label(axes, min(mine, key=_error), label, colour, offset, "right")
     for row in rows:
         if row.model.startswith(CHOSEN):
             axes.plot(*_points([row]), "D", markersize=8.0, markerfacecolor="none", color=BLUE, markeredgewidth=1.5)
-            _label(axes, row, row.model.partition(":")[0], BLUE, (-8, -14))
+            tolerance = row.model.removeprefix(CHOSEN).partition(":")[0]
+            _label(axes, row, f"chosen, {tolerance}", BLUE, (-7, -9), "right")
     default = rows[0]
     axes.plot(*_points([default]), "o", markersize=12.0, markerfacecolor="none", color=BLUE, markeredgewidth=2.0)
-    _label(axes, default, "default", BLUE, (9, 5))
+    _label(axes, default, "default", BLUE, (9, 5), "left")
     axes.axhline(floor, color=SLATE, linewidth=1.0, linestyle="--", zorder=1)
-    axes.annotate("error of the reference", (0.01, floor), xycoords=("axes fraction", "data"), xytext=(0, 3),
+    axes.annotate("error of the reference", (0.01, floor), xycoords=("axes fraction", "data"), xytext=(0, -3), va="top",
                   textcoords="offset points", fontsize=8, color=SLATE)  # fmt: skip
+    axes.set_ylim(0.3 * floor, HIGHEST * max([_error(row) for row in front] or [floor]))
 
 
 def _points(rows: Sequence[PrecisionRow]) -> tuple[list[float], list[float]]:
     return [row.cpu for row in rows], [_error(row) for row in rows]
 
 
-def _label(axes: Any, row: PrecisionRow, text: str, colour: str, offset: tuple[float, float]) -> None:
-    """Write a label beside a run; the offset is in points."""
-    axes.annotate(text, (row.cpu, _error(row)), xytext=offset, textcoords="offset points", fontsize=8.5, color=colour)
+def _label(axes: Any, row: PrecisionRow, text: str, colour: str, offset: tuple[float, float], end: str) -> None:
+    """Write a label beside a run; its left or right end is at an offset, points."""
+    axes.annotate(text, (row.cpu, _error(row)), xytext=offset, textcoords="offset points", fontsize=8.5, color=colour,
+                  ha=end)  # fmt: skip
 
 
 def draw_scenes(scenes: Sequence[tuple[Sequence[PrecisionRow], float, str]], path: Path) -> Path:
@@ -139,7 +153,7 @@ def draw_scenes(scenes: Sequence[tuple[Sequence[PrecisionRow], float, str]], pat
         draw_panel(axes, *each)
         axes.grid(color=LIGHT, linewidth=0.6)
         axes.spines[["top", "right"]].set_visible(False)
-        axes.margins(x=0.12, y=0.08)
+        axes.margins(x=0.12)
     for axes in every.flat[len(scenes) :]:
         axes.set_visible(False)
     figure.supxlabel(COST, fontsize=10)

@@ -1,13 +1,14 @@
 """Verification table: rows of expected and computed values with a verdict, as text and JSON."""
 
-import json
-import math
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
+from itertools import groupby
+from textwrap import wrap
 from typing import Self
 
 from flexman_gym.common.computer import computer_info
+from flexman_gym.common.formatting import WIDTH, json_text
 
 COLUMNS = ("case", "source", "expected", "computed", "error", "tolerance", "verdict")
 PASS, FAIL, SHOWN = "pass", "fail", "shown"
@@ -92,21 +93,25 @@ class VerificationTable(list[VerificationRow]):
         return int(not self or any(row.verdict == FAIL for row in self))
 
     def __str__(self) -> str:
-        """Return a table for the terminal, and the numbers of rows that pass, that fail, and without a tolerance."""
-        lines = [list(COLUMNS), *(row.cells() for row in self)]
-        widths = [max(len(line[i]) for line in lines) for i in range(len(COLUMNS))]
-        texts = ["  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)) for line in lines]
+        """Return a table for the terminal, and the numbers of rows that pass, that fail, and without a tolerance.
+
+        Cases stand below their source; a case that is too long for a line of 100 characters has several.
+        """
+        numbers = [COLUMNS[2:], *(row.cells()[2:] for row in self)]
+        widths = [max(map(len, column)) for column in zip(*numbers, strict=True)]
+        room = WIDTH - sum(width + 2 for width in widths)
+        ends = ["".join(f"  {cell:>{width}}" for cell, width in zip(line, widths, strict=True)) for line in numbers]
+        texts = [f"{'case':<{room}}{ends[0]}"]
+        for source, rows in groupby(zip(self, ends[1:], strict=True), lambda each: each[0].source):
+            texts.append(f"{source}:")
+            for row, end in rows:
+                *first, last = wrap(row.case, room, initial_indent="  ", subsequent_indent="  ")
+                texts += [*first, f"{last:<{room}}{end}"]
         count = Counter(row.verdict for row in self)
         passed, failed = count[PASS], count[FAIL]
         summary = SUMMARY.format(passed=passed, evaluated=passed + failed, failed=failed, shown=count[SHOWN])
-        return "\n".join([*(text.rstrip() for text in texts), summary])
+        return "\n".join([*texts, summary])
 
     def to_json(self) -> str:
         """Return rows, computer and versions of the software as JSON; infinite numbers and NaN become null."""
-        clean = [{name: _finite(value) for name, value in row.values().items()} for row in self]
-        return json.dumps({"machine": computer_info(), "rule": RULE, "rows": clean}, indent=1, allow_nan=False) + "\n"
-
-
-def _finite(value: str | float | None) -> str | float | None:
-    """Return a value, or None for an infinite number or NaN."""
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+        return json_text({"machine": computer_info(), "rule": RULE, "rows": [row.values() for row in self]}) + "\n"

@@ -5,21 +5,31 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 from flexman_gym.common.markdown import markdown_table
-from flexman_gym.toolbox.precision.charts import CHOSEN, cheapest_equal, conclusion, draw_scenes, family_of, front_of
+from flexman_gym.toolbox.precision.charts import (
+    CHOSEN,
+    cheapest_equal,
+    conclusion,
+    draw_scenes,
+    family_of,
+    front_of,
+    ratio_text,
+)
 from flexman_gym.toolbox.precision.runs import OK, PrecisionRow
-from flexman_gym.toolbox.precision.scene_runs import PLAIN, SHORTENED
+from flexman_gym.toolbox.precision.scene_runs import PLAIN, RIGID, SHORTENED
 from studies.peers.measure import PAPER, ROUNDS, Decay, of_peers
 from studies.precision.measure import Floor, cost_at
 from studies.screen import picture, screen
 
 PICTURE = "speed_accuracy.svg"
+NEAR = 5e-3  # m; error at which costs of all simulators are compared
 WANTED = 3e-3  # m; time error at which costs are compared
 DISCRETE = "discrete"
 MESSAGE = "Error of the tip over computing time in four scenes: our cheapest runs, the default, and other simulators"
 QUESTION = "How much CPU time do simulators need for the same motion, and how far apart are their results?"
-ANSWER = """**{scenes}** For the paper's arm our cheapest run as accurate as MuJoCo with 8 rigid pieces a link
-({error:.2g} mm) is {exact:.3g} times as fast. At a time error of {wanted:g} mm Exudyn's floating frame with the same
-elements costs {exudyn:.3g} times as much with its fastest settings, {default:.3g} times with the default ones."""
+ANSWER = """**{scenes}** For the paper's arm within {near:g} mm, near the agreement of the finest models ({floor:.2g}
+mm), MuJoCo's rigid pieces take {mujoco} times and SoRoMoX {soromox} times as long as our cheapest run. At a time error
+of {wanted:g} mm Exudyn's floating frame with the same elements costs {exudyn:.2g} times as much with its fastest
+settings, {default:.0f} times with the default ones."""
 BODY = """{picture}
 
 A dot is one of our runs, the line the cheapest ones, the ring the default of the environments, a marker another
@@ -64,16 +74,20 @@ def page(
     peers = of_peers(paper)
     rows = [row for row in paper if family_of(row) is None]
     mujoco = _cheapest(row for row in peers if (row.model, row.method) == ("MuJoCo, 8 pieces", "Euler"))
-    front = front_of(rows)
-    exact = _cheapest(row for row in front if _error(row) <= _error(mujoco))
+    floor = next(each.floor for each in floors if each.scene == PAPER)
+    front = front_of(rows, floor)
+    best = {name: _cheapest(row for row in group if _error(row) <= NEAR)
+            for name, group in (("ours", front), *((name, [row for row in peers if row.model.startswith(name)])
+                                                   for name in ("MuJoCo", "SoRoMoX")))}  # fmt: skip
     mine = [row for row in rows if row.model == PLAIN and row.time_error is not None and row.time_error <= WANTED]
     exudyn = [row for row in peers if row.model.startswith("Exudyn")]
     costs = sorted(cost_at([row for row in exudyn if row.method == method], WANTED) or 0.0
                    for method in {row.method for row in exudyn})  # fmt: skip
-    rigid = {row.model: row for row in rows if row.method == "rk4"}["rigid"]
+    rigid = _cheapest(row for row in rows if row.model == RIGID)
     lossy = max((loss for loss in losses if DISCRETE in loss.integrator), key=lambda loss: loss.step)
     answer = ANSWER.format(
-        scenes=_ratios(every, floors), error=1e3 * _error(mujoco), exact=mujoco.cpu / exact.cpu,
+        scenes=_ratios(every, floors), near=1e3 * NEAR, floor=1e3 * floor,
+        mujoco=ratio_text(best["MuJoCo"], best["ours"]), soromox=ratio_text(best["SoRoMoX"], best["ours"]),
         wanted=1e3 * WANTED, exudyn=costs[0] / _cheapest(mine).cpu, default=costs[-1] / _cheapest(mine).cpu,
     )  # fmt: skip
     shown = [("ours, default", rows[0]), *(("ours", row) for row in front if _error(row) < _error(rows[0]))]
@@ -113,8 +127,10 @@ def _ratios(every: Sequence[PrecisionRow], floors: Sequence[Floor]) -> str:
     for floor in floors:
         rows = [row for row in every if row.scene == floor.scene]
         equal = cheapest_equal(rows)
-        factors.append("-" if equal is None else f"{equal.cpu / rows[0].cpu:.2g}")
-    return "The quickest other simulator as accurate as the default takes " + ", ".join(factors) + " times as long."
+        factors.append("-" if equal is None else ratio_text(equal, rows[0]))
+    shown = f"{', '.join(factors[:-1])} and {factors[-1]}"
+    where = f"in the {len(floors)} scenes"
+    return f"The quickest other simulator as accurate as the default takes {shown} times as long {where}."
 
 
 def _finest(peers: Sequence[PrecisionRow]) -> list[PrecisionRow]:

@@ -63,6 +63,15 @@ def test_a_certificate_leaves_out_mujoco_for_an_arm_that_it_cannot_simulate(fold
     assert refusal(lambda: certify(str(folder), SEEDS, 2, tmp_path / "rows", log=said.append)) == reason
 
 
+def test_policy_that_settles_in_no_episode_is_described(folder):
+    """`flexman export policy` writes null for an infinite median."""
+    path = folder / METADATA
+    row = {"environment": "FlexPlanar-v0", "settled": 0.0, "settling_time": None, "vibration": None}
+    for given, text in ((row, "0% settle. "), (row | {"vibration": 0.3}, "0% settle, vibration 300 mm. ")):
+        path.write_text(json.dumps(json.loads(path.read_text()) | {"league": given}))
+        assert f" FlexPlanar-v0: {text}" in certificate_file.describe_policy("still")
+
+
 @pytest.mark.slow
 def test_scenarios_are_run_as_their_names_say_and_kept_beside_the_policy(folder, tmp_path):
     assert certificate_file.describe_policy("still").endswith("Made up. It has no certificate.")
