@@ -1,4 +1,4 @@
-"""Train PPO or SAC of Stable-Baselines3 on FlexRRR-v0 in three minutes on one core: python scripts/train.py [ppo | sac]
+"""Train PPO or SAC of Stable-Baselines3 on FlexRRR-v0 in minutes on one core: python scripts/train.py [ppo | sac]
 
 Copy this file into your project and change it. It writes runs/ppo.zip or runs/sac.zip, which scripts/evaluate.py tests.
 """
@@ -18,7 +18,7 @@ from flexman_agents.vector import SB3VecEnv
 # still increases at errors of millimetres.
 SETTINGS: dict[str, Any] = {"base": "pd", "action_repeat": 5, "reward": "distance"}
 NETWORK = {"net_arch": [128, 128], "log_std_init": -1.6}  # little noise, as it excites vibrations that last for seconds
-STEPS = {"ppo": 2_000_000, "sac": 600_000}  # about three minutes of CPU time each
+STEPS = {"ppo": 2_000_000, "sac": 600_000}  # three and six minutes of CPU time
 
 
 def environment(arms: int) -> VecMonitor:
