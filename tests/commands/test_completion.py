@@ -34,7 +34,7 @@ def scripts(tmp_path_factory):
     (["evaluate", "pd", "--env", "FlexRRR-T"], {"FlexRRR-Track-v0"}),
     (["simulate", "paper_f"], {"paper_fr", "paper_ff"}), (["train", "planar_ppo"], {"planar_ppo_on_pd"}),
     (["evaluate", "runs/fi"], {"runs/first"}), (["draw", "camp"], {"campbell"}),
-], ids=" ".join)  # fmt: skip
+], ids=lambda given: " ".join(sorted(given) if isinstance(given, set) else given))  # fmt: skip
 def test_bash_completes(words, found, scripts, tmp_path):
     (tmp_path / "runs" / "first").mkdir(parents=True)
     command = ["bash", "-c", COMPLETE, "bash", str(scripts["bash"]), "flexman", *words]
