@@ -13,15 +13,21 @@ from flexman_gym.toolbox.precision.scene_runs import DEFAULT
 
 CHOSEN = "chosen for "  # begins the name of a model of `choose_model`, before its tolerance
 DPI = 100.0  # pixels per inch of a chart in a page
-PANEL = (4.4, 3.7)  # inches; width and height of a panel
-COST, ERROR = "computing time, CPU s per simulated s", "largest error of the tip, m"
-PEERS = {  # words in the name of the model -> label, colour, marker, offset of the label, points; the first that fits
-    "MuJoCo, rods": ("MuJoCo, rods", PURPLE, "D", (8, -15)), "MuJoCo, rigid": ("MuJoCo, rigid", BROWN, "X", (12, 7)),
-    "MuJoCo": ("MuJoCo, rigid pieces", RED, "o", (12, -14)), "Exudyn": ("Exudyn, floating frame", SLATE, "P", (8, 10)),
-    "Pinocchio": ("Pinocchio, rigid", BROWN, "s", (8, -13)), "SoRoMoX": ("SoRoMoX", GREEN, "v", (12, 6)),
+PANEL = (4.4, 3.9)  # inches; width and height of a panel
+COST, ERROR = "computing time, CPU ms per simulated second", "largest error of the tip, mm"
+PEERS = {  # words in the name of the model -> label, colour, marker; the first that fits
+    "MuJoCo, rods": ("MuJoCo, rods", PURPLE, "h"), "MuJoCo, rigid": ("MuJoCo, rigid", BROWN, "X"),
+    "MuJoCo": ("MuJoCo, rigid pieces", RED, "o"), "Exudyn": ("Exudyn, floating frame", SLATE, "P"),
+    "Pinocchio": ("Pinocchio, rigid", BROWN, "s"), "SoRoMoX": ("SoRoMoX", GREEN, "v"),
 }  # fmt: skip
-TITLE_WIDTH = 50  # characters of a line of the title of a panel
-HIGHEST = 2.0  # largest error in a panel / that of the cheapest of our runs
+PLACES = {  # words as above -> offset of the label, points, its end there, and whether it is that of the cheapest run
+    "MuJoCo, rods": ((6, 6), "left", True), "MuJoCo, rigid": ((4, -14), "right", True),
+    "MuJoCo": ((12, -15), "right", False), "Exudyn": ((6, 6), "left", True), "Pinocchio": ((8, -3), "left", True),
+    "SoRoMoX": ((14, 7), "right", False),
+}  # fmt: skip
+TITLE_WIDTH = 46  # characters of a line of the title of a panel
+LEFTMOST = 0.06  # left end of the axis of costs / cost of the cheapest run
+HIGHEST = 3.0  # largest error in a panel / that of the cheapest of our runs
 
 
 def family_of(row: PrecisionRow) -> str | None:
@@ -77,7 +83,7 @@ def conclusion(rows: Sequence[PrecisionRow]) -> str:
     equal = cheapest_equal(rows)
     if equal is None:
         return f"{reached}; no other simulator has a smaller error"
-    return f"{reached}; {equal.model.split(',')[0]} takes {ratio_text(equal, default)} times as long for its error"
+    return f"{reached}; {equal.model.split(',')[0]} takes {ratio_text(equal, default)} times as long for the same error"
 
 
 def ratio_text(one: PrecisionRow, other: PrecisionRow) -> str:
@@ -86,7 +92,7 @@ def ratio_text(one: PrecisionRow, other: PrecisionRow) -> str:
 
 
 def draw_panel(axes: Any, rows: Sequence[PrecisionRow], floor: float, title: str) -> None:
-    """Draw the runs of a scene: ours as dots, their front as a line, the default with a ring, others with a label.
+    """Draw the runs of a scene: the front of ours as a line, the default with a ring, others with a label.
 
     A run of a model of `choose_model` has a diamond.
 
@@ -98,19 +104,19 @@ def draw_panel(axes: Any, rows: Sequence[PrecisionRow], floor: float, title: str
     """
     axes.set(xscale="log", yscale="log")
     lines = [part for line in title.split("\n") for part in wrap(line, TITLE_WIDTH)]
-    axes.set_title("\n".join(lines), fontsize=9, loc="left")
-    ours = [row for row in rows if family_of(row) is None and math.isfinite(_error(row))]
-    axes.plot(*_points(ours), ".", color=BLUE, markersize=3.0, alpha=0.35)
+    axes.set_title("\n".join(lines), fontsize=10, loc="left", color=SLATE)
     front = front_of(rows, floor)
     costs, errors = _points(front)
-    axes.plot(costs, [*accumulate(errors, min)], color=BLUE, linewidth=2.0, drawstyle="steps-post")
+    axes.plot(costs, [*accumulate(errors, min)], color=BLUE, linewidth=2.0, drawstyle="steps-post", marker=".")
     if front:
         _label(axes, front[-1], "flexman_gym", BLUE, (4, 4), "left")
-    for words, (label, colour, marker, offset) in PEERS.items():
+    for words, (label, colour, marker) in PEERS.items():
         mine = [row for row in rows if family_of(row) == words and math.isfinite(_error(row))]
         if mine:
             axes.plot(*_points(mine), marker, color=colour, markersize=6.0)
-            _label(axes, min(mine, key=_error), label, colour, offset, "right")
+            offset, end, cheapest = PLACES[words]
+            named = min(mine, key=lambda row: row.cpu) if cheapest else min(mine, key=_error)
+            _label(axes, named, label, colour, offset, end)
     for row in rows:
         if row.model.startswith(CHOSEN):
             axes.plot(*_points([row]), "D", markersize=8.0, markerfacecolor="none", color=BLUE, markeredgewidth=1.5)
@@ -119,20 +125,21 @@ def draw_panel(axes: Any, rows: Sequence[PrecisionRow], floor: float, title: str
     default = rows[0]
     axes.plot(*_points([default]), "o", markersize=12.0, markerfacecolor="none", color=BLUE, markeredgewidth=2.0)
     _label(axes, default, "default", BLUE, (9, 5), "left")
-    axes.axhline(floor, color=SLATE, linewidth=1.0, linestyle="--", zorder=1)
-    axes.annotate("error of the reference", (0.01, floor), xycoords=("axes fraction", "data"), xytext=(0, -3), va="top",
-                  textcoords="offset points", fontsize=8, color=SLATE)  # fmt: skip
-    axes.set_ylim(0.3 * floor, HIGHEST * max([_error(row) for row in front] or [floor]))
+    axes.axhline(1e3 * floor, color=SLATE, linewidth=1.0, linestyle="--", zorder=1)
+    place = {"xycoords": ("axes fraction", "data"), "textcoords": "offset points"}
+    axes.annotate("error of the reference", (0.01, 1e3 * floor), (0, -3), va="top", fontsize=8, color=SLATE, **place)
+    axes.set_ylim(300.0 * floor, 1e3 * HIGHEST * max([_error(row) for row in front] or [floor]))
 
 
 def _points(rows: Sequence[PrecisionRow]) -> tuple[list[float], list[float]]:
-    return [row.cpu for row in rows], [_error(row) for row in rows]
+    """Return computing times (ms per s) and errors (mm)."""
+    return [1e3 * row.cpu for row in rows], [1e3 * _error(row) for row in rows]
 
 
 def _label(axes: Any, row: PrecisionRow, text: str, colour: str, offset: tuple[float, float], end: str) -> None:
     """Write a label beside a run; its left or right end is at an offset, points."""
-    axes.annotate(text, (row.cpu, _error(row)), xytext=offset, textcoords="offset points", fontsize=8.5, color=colour,
-                  ha=end)  # fmt: skip
+    place = 1e3 * row.cpu, 1e3 * _error(row)
+    axes.annotate(text, place, xytext=offset, textcoords="offset points", fontsize=9.5, color=colour, ha=end)
 
 
 def draw_scenes(scenes: Sequence[tuple[Sequence[PrecisionRow], float, str]], path: Path) -> Path:
@@ -154,8 +161,9 @@ def draw_scenes(scenes: Sequence[tuple[Sequence[PrecisionRow], float, str]], pat
         axes.grid(color=LIGHT, linewidth=0.6)
         axes.spines[["top", "right"]].set_visible(False)
         axes.margins(x=0.12)
+        axes.set_xlim(left=LEFTMOST * axes.dataLim.minposx)
     for axes in every.flat[len(scenes) :]:
         axes.set_visible(False)
-    figure.supxlabel(COST, fontsize=10)
-    figure.supylabel(ERROR, fontsize=10)
+    figure.supxlabel(COST, fontsize=10, color=SLATE)
+    figure.supylabel(ERROR, fontsize=10, color=SLATE)
     return save_figure(figure, path)

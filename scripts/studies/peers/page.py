@@ -32,8 +32,8 @@ of {wanted:g} mm Exudyn's floating frame with the same elements costs {exudyn:.2
 settings, {default:.0f} times with the default ones."""
 BODY = """{picture}
 
-A dot is one of our runs, the line the cheapest ones, the ring the default of the environments, a marker another
-simulator; below the dashed line errors cannot be told apart. The table has the runs of the paper's arm.
+The line has our cheapest runs, the ring is the default of the environments, the open diamond the choice of
+`choose_model`; below the dashed line errors cannot be told apart. The table has the runs of the paper's arm.
 
 {table}
 
@@ -46,7 +46,7 @@ foreshortening; simulators without a marker in a panel cannot run its scene.
 - MuJoCo's `discrete` integrator takes {discrete:.0%} of the amplitude of the lowest mode per second at {step:g} ms;
   our methods and the other integrators take less than {others:.0e} of it."""
 CHOSEN_HEADS = ("scene", "tolerance", "coordinates", "method, step", "error", "CPU ms per s",
-                "two elements a link / chosen, cost at its error")  # fmt: skip
+                "cost of all coordinates / choice")  # fmt: skip
 HEADS = ("code", "model", "method, step", "error, mm", "CPU ms per s")
 
 

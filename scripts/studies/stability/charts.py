@@ -14,6 +14,7 @@ from studies.stability.measure import (
     FULL_MODES,
     INACCURATE,
     MODES,
+    NOT_CONVERGED,
     OK,
     PAYLOAD,
     SPIN_STIFFENED,
@@ -25,7 +26,10 @@ from studies.stability.rows import ERROR, LIMIT, LIMIT_STUDIES
 
 PICTURE, MAP = "stability_step_limit.svg", "stability_map.svg"
 MAPPED = (SPRINGS, MODES, PAYLOAD, SPIN_STIFFENED)  # studies whose runs are on the map
-SHARES = {OK: (BLUE, "accurate to 1 mm"), INACCURATE: (ORANGE, "less accurate"), DIVERGED: (RED, "diverged")}
+SHARES = {
+    OK: (BLUE, "accurate to 1 mm"), INACCURATE: (ORANGE, "less accurate"), DIVERGED: (RED, "diverged"),
+    NOT_CONVERGED: (SLATE, "iterations did not converge"),
+}  # fmt: skip
 LABELS = {
     SPRINGS: "stiffness of every joint spring (N m/rad)", MODES: "loaded modes per link", PAYLOAD: "payload (kg)",
 }  # fmt: skip
@@ -94,7 +98,7 @@ def draw_map(rows: Sequence[StabilityRow], folder: Path) -> None:
     axes.set_xlabel("step (ms)")
     axes.spines[["left", "bottom"]].set_visible(False)
     patches = [axes.barh(0, 0, color=colour, label=label) for colour, label in SHARES.values()]
-    figure.legend(handles=patches, loc="outside lower center", ncols=3, frameon=False, fontsize=9, labelcolor=SLATE)
+    figure.legend(handles=patches, loc="outside lower center", ncols=4, frameon=False, fontsize=9, labelcolor=SLATE)
     save_figure(figure, folder / MAP)
 
 

@@ -29,7 +29,7 @@ def test_errors_below_that_of_the_reference_are_equal():
 
 def test_the_conclusion_compares_with_the_cheapest_run_as_accurate():
     slower = replace(PEER, cpu=1.6, total_error=1e-3)
-    assert conclusion([ROW, FINE, slower, PEER]).endswith("MuJoCo takes 400 times as long for its error")
+    assert conclusion([ROW, FINE, slower, PEER]).endswith("MuJoCo takes 400 times as long for the same error")
     assert conclusion([ROW, replace(PEER, total_error=5e-2)]).endswith("no other simulator has a smaller error")
     assert conclusion([ROW, replace(PEER, model="MuJoCo, rigid links", total_error=1e-3)]).endswith("2 ms per s")
     assert conclusion([replace(ROW, status="diverged")]) == "The default is diverged"
@@ -39,7 +39,7 @@ def test_the_default_has_a_ring_and_all_simulators_a_label():
     axes = pytest.importorskip("matplotlib.figure").Figure().subplots()
     draw_panel(axes, [ROW, COARSE, FINE, PEER, replace(PEER, status="diverged", total_error=math.nan)], 1e-3, "title")
     rings = [line for line in axes.lines if line.get_markerfacecolor() == "none"]
-    assert [(*line.get_xdata(), *line.get_ydata()) for line in rings] == [(ROW.cpu, ROW.total_error)]
+    assert [(*line.get_xdata(), *line.get_ydata()) for line in rings] == [(1e3 * ROW.cpu, 1e3 * ROW.total_error)]
     words = [text.get_text().replace("\n", " ") for text in axes.texts]
     assert words == ["flexman_gym", "MuJoCo, rigid pieces", "default", "error of the reference"]
 
