@@ -387,8 +387,8 @@ def test_metrics_of_violations_are_those_of_the_states():
     table = metrics_table({"lqr": result.records}, environment)
     lines = table.splitlines()
     first, second = (line for line in lines if line.startswith("agent "))
-    assert max(map(len, lines)) <= 100 and first.endswith("failed  violations of 1000")
-    assert second == "agent  excess  violation, s", "a wide table goes on below"
+    assert max(map(len, lines)) <= 100 and first.endswith(" failed")
+    assert second == "agent  violations of 1000  excess  violation, s", "a wide table goes on below"
     plain = fm.rollout("pd", "FlexOne-v0", [0])
     assert plain.excess is None and "violations" not in metrics_table(
         {"pd": plain.records}, Configuration("FlexOne-v0")

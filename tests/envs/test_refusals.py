@@ -83,7 +83,7 @@ SETTINGS = [  # settings of one environment and of many, and the beginning of th
     ({"randomisation": 3}, "randomisation: 3 is not allowed; give a Randomisation, or a dict of its arguments"),
     ({"task": Hold(load=(2.0, 1.0))}, "Randomisation.tip_load: (2.0, 1.0) is not allowed; give a range (low, high) with"
      " low <= high"),
-    *(({"reward": wrong}, "reward") for wrong in ({"tip_error": "1"}, {"tip_error": np.inf}, 3.0, "distance")),
+    *(({"reward": wrong}, "reward") for wrong in ({"tip_error": "1"}, {"tip_error": np.inf}, 3.0, "distanc")),
     ({"reward": {1: 1.0}}, "a key of reward: 1 is not allowed; give a string"),
 ]  # fmt: skip
 SERVOS = [  # settings of the action modes of the toolbox, and the beginning of the message
