@@ -23,7 +23,7 @@ BODY = """{picture}
 The arm is that of `FlexRRR-v0` with the corrected area of link 1, `link1_area="corrected"`; the printed one is ten
 times too large. With the gains of `FlexRRR-v0` it settles in {named:.1f} s. `flexman optimise arm FILE --sections
 {sections}` varies the sections between half and twice the given thickness. The arms have at
-most the given mass. Gears are between half and twice the given ratios and multiply the torque limits.
+most its mass. Gears are between half and twice the given ratios and multiply the torque limits.
 
 The claim is that of a linear model: held motors at zero angles for the frequency, two goals for the settling time.
 Optima are local. Stress and buckling are not limited, and motors do not saturate in the model. The simulated settling

@@ -9,7 +9,7 @@ from flexman_gym.simulation.methods import DEFAULT_METHOD, METHODS, IteratedGaus
 from flexman_gym.simulation.stability import amplitude_range
 from studies.methods import largest_growth, methods_of
 from studies.screen import picture, screen
-from studies.stability.charts import MAP, PICTURE, mapped_rows
+from studies.stability.charts import PICTURE, mapped_rows
 from studies.stability.measure import (
     DIVERGED,
     LIMIT_TOLERANCE,
@@ -27,7 +27,6 @@ ROTORS = f"{DAMPING} 1"  # study of the arm with rotors of 1 kg m^2
 
 SHOWN = ("ros2", "generalised_alpha", "extrapolated_euler_3", "midpoint_corrected_3", "implicit_midpoint", "gauss_3")
 STEPS = (0.001, 0.005, 0.02)  # s; steps of the table
-MAP_MESSAGE = "Shares of runs that are accurate, less accurate or diverged, for each method and step"
 MESSAGE = "Stiffer joints and more modes shorten the stable step, a payload does not"
 QUESTION = "How long may the step of a method be, and how much does the method damp a vibration?"
 ANSWER = """**The highest natural frequency of the model predicts the longest stable step of an explicit method:
@@ -35,25 +34,20 @@ ANSWER = """**The highest natural frequency of the model predicts the longest st
 what they do not resolve."""
 BODY = """{picture}
 
-Stiff joint springs ({soft:.0e} to {stiff:.0e} N m/rad) lower the limit of `rk4` from {first:.3g} to {last:.3g} ms;
-so does the number of modes ({two:.3g} ms with 2 modes per link, {full:.2g} ms with all). A payload has no effect.
-The table has the amplitude left of mode 2 after 10 s of an undamped vibration. In a band of omega h, angular
-frequency times step, `extrapolated_euler_3` amplifies a vibration by up to {growth:.2g} % per step.
+Stiff joint springs ({soft:.0e} to {stiff:.0e} N m/rad) lower the limit of `rk4` from {first:.3g} to {last:.3g} ms, more
+modes from {two:.3g} (2 per link) to {full:.2g} ms. The table has the amplitude left of mode 2 after 10 s of an
+undamped vibration. In a band of omega h, angular frequency times step, `extrapolated_euler_3` amplifies a vibration
+by up to {growth:.2g} % per step.
 
 {table}
 
-The amplitude is the root mean square over a second. Under `{default}` it oscillates within that second by at most
-(omega h)^2 / 12, without decay or growth: at 20 ms from {low:.4g} to {high:.4g} % of its start.
+Amplitudes are root mean squares over a second. Under `{default}` they oscillate meanwhile by at most (omega h)^2 / 12:
+at 20 ms from {low:.4g} to {high:.4g} %.
 
 Without stiffening a spinning link diverges above {spin:.2f} rad/s with any method, as theory predicts; with
 stiffening {sound} of {all} runs at the smallest step are accurate to 1 mm.
 
-{map}
-
-Each cell of the map has {mapped} runs of the paper's arm for a method and a step, over spring stiffness, number of
-modes, payload and spin (fewer at the two shortest steps). {failed}
-
-The rows also have long runs and all modes."""
+A [map](../accuracy_and_speed.md#where-methods-fail) has up to {mapped} runs a cell. {failed}"""
 
 
 def summary(rows: Sequence[StabilityRow]) -> str:
@@ -82,7 +76,7 @@ def page(rows: Sequence[StabilityRow], files: Mapping[str, str]) -> str:
         last=1e3 * springs[-1].value, two=modes[2.0], full=modes[max(modes)], table="\n".join(_table(rows)),
         growth=100 * (largest_growth(METHODS["extrapolated_euler_3"])[0] - 1),
         default=DEFAULT_METHOD, low=100 * low, high=100 * high,
-        map=picture(MAP_MESSAGE, MAP), mapped=_largest_cell(rows), failed=_failures(rows),
+        mapped=_largest_cell(rows), failed=_failures(rows),
         spin=select(rows, quantity=SPIN_LIMIT)[0].value, sound=len(select(fine, verdict=OK)), all=len(fine),
     )  # fmt: skip
     return screen("Stability and numerical damping", QUESTION, answer, body, files, "stability")
