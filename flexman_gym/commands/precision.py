@@ -59,7 +59,7 @@ def _run(options: argparse.Namespace) -> int:
         print("\n".join([HEAD, *(_line(row, "default" if row is rows[0] else "") for row in shown)]))
         print("\n".join([*left_out, conclusion(rows)]), flush=True)
     try:
-        print(f"{draw_scenes([(rows, floor, conclusion(rows))], options.out)} shows all runs", file=table)
+        print(f"{draw_scenes([(rows, floor, conclusion(rows))], options.out)} has the chart", file=table)
     except ImportError as error:
         print(error, file=table)
     return 0
@@ -80,8 +80,7 @@ def _methods(given: list[str] | None) -> list[str]:
 
 def _line(row: "PrecisionRow", note: str) -> str:
     """Return a line of the table."""
-    error = row.total_error
-    shown = f"{1e3 * error:.3g}" if row.status == "ok" and error is not None and math.isfinite(error) else row.status
+    shown = f"{1e3 * row.error:.3g}" if math.isfinite(row.error) else row.status
     step = f"{1e3 * row.step:.3g}" if row.step is not None else ""
     return f"{row.model:<34}{row.method:<22}{step:>9}{shown:>12}{1e3 * row.cpu:>13.3g}  {note}".rstrip()
 

@@ -164,8 +164,8 @@ def curves(model: Model, states: Vector, points: int, gain: float = 1.0, joint_g
 
     A point of a link is at R + A (u + S q), Eqs. (1) and (2), see `model.beam`, with the origin R and the rotation A of
     the beam frame. A cross-section is rotated relative to this frame by the rotation vector (phi, -w', v'), as the tip
-    in Eq. (26). Foreshortening displaces a point by the exact integral of (v'^2 + w'^2) / 2. The last
-    point is the tip of the link.
+    in Eq. (26). Foreshortening displaces a point by the exact integral of (v'^2 + w'^2) / 2. The last point is the tip
+    of the link.
 
     Args:
         model: model of the arm.

@@ -185,8 +185,7 @@ def tip_acceleration(model: Model, state: Vector, torque: Vector) -> Array:
     """Return the acceleration (3,) of the tip in the base frame, m/s^2.
 
     It is the second time derivative of the tip position, Eq. (30) with the terms of Eq. (32) of the paper, exact to
-    rounding. An ideal
-    accelerometer at the tip measures this value minus the acceleration of gravity.
+    rounding. An ideal accelerometer at the tip measures this value minus the acceleration of gravity.
 
     Args:
         model: model of the arm.

@@ -180,7 +180,7 @@ def test_precision_charts_a_scene_with_the_default(tmp_path, monkeypatch, capsys
     errors = [float(words[-2]) for words in mesh]
     assert [float(words[-3]) for words in mesh] == [20.0, 10.0, 5.0, 2.5, 1.25, 0.625, 0.312]
     assert errors[0] > 1.5 * errors[-1] > 0.0
-    assert last.startswith("The default: ") and picture == "out/precision.png shows all runs"
+    assert last.startswith("The default: ") and picture == "out/precision.png has the chart"
     assert (tmp_path / "out" / "precision.png").stat().st_size > 10_000
 
 

@@ -8,8 +8,7 @@ from textwrap import wrap
 from typing import Any
 
 from flexman_gym.common.plot_style import BLUE, BROWN, GREEN, LIGHT, PURPLE, RED, SLATE, new_figure, save_figure
-from flexman_gym.toolbox.precision.runs import OK, PrecisionRow, pareto_front
-from flexman_gym.toolbox.precision.scene_runs import DEFAULT
+from flexman_gym.toolbox.precision.runs import PrecisionRow, pareto_front
 
 CHOSEN = "chosen for "  # begins the name of a model of `choose_model`, before its tolerance
 DPI = 100.0  # pixels per inch of a chart in a page
@@ -35,11 +34,6 @@ def family_of(row: PrecisionRow) -> str | None:
     return next((words for words in PEERS if row.model.startswith(words)), None)
 
 
-def is_default(row: PrecisionRow) -> bool:
-    """Return True for the run with model, method and step of the environments, which is the first of its scene."""
-    return row.model == DEFAULT
-
-
 def front_of(rows: Iterable[PrecisionRow], floor: float = 0.0) -> list[PrecisionRow]:
     """Return our runs on the Pareto front, by increasing cost.
 
@@ -51,14 +45,9 @@ def front_of(rows: Iterable[PrecisionRow], floor: float = 0.0) -> list[Precision
     points = {}
     for row in sorted(ours, key=lambda row: row.step or 0.0):
         key = row.model, row.method
-        errors[key] = max(floor, errors.get(key, 0.0), _error(row))
+        errors[key] = max(floor, errors.get(key, 0.0), row.error)
         points[row] = (row.cpu, errors[key])
     return [ours[i] for i in pareto_front([points[row] for row in ours])]
-
-
-def _error(row: PrecisionRow) -> float:
-    """Return the error of the tip, m; infinite for a failed run."""
-    return math.inf if row.status != OK or row.total_error is None else row.total_error
 
 
 def _flexible_peers(rows: Sequence[PrecisionRow]) -> list[PrecisionRow]:
@@ -68,16 +57,16 @@ def _flexible_peers(rows: Sequence[PrecisionRow]) -> list[PrecisionRow]:
 
 def cheapest_equal(rows: Sequence[PrecisionRow]) -> PrecisionRow | None:
     """Return the cheapest run of another simulator with at most the error of the default, the first row, or None."""
-    equal = [row for row in _flexible_peers(rows) if _error(row) <= _error(rows[0])]
+    equal = [row for row in _flexible_peers(rows) if row.error <= rows[0].error]
     return min(equal, key=lambda row: row.cpu, default=None)
 
 
 def conclusion(rows: Sequence[PrecisionRow]) -> str:
     """Return a sentence on the default of the environments, the first row, and the other simulators with its error."""
     default = rows[0]
-    if default.status != OK or default.total_error is None:
+    if not math.isfinite(default.error):
         return f"The default is {default.status}"
-    reached = f"The default: {1e3 * default.total_error:.2g} mm at {1e3 * default.cpu:.2g} ms per s"
+    reached = f"The default: {1e3 * default.error:.2g} mm at {1e3 * default.cpu:.2g} ms per s"
     if not _flexible_peers(rows):
         return reached
     equal = cheapest_equal(rows)
@@ -111,11 +100,11 @@ def draw_panel(axes: Any, rows: Sequence[PrecisionRow], floor: float, title: str
     if front:
         _label(axes, front[-1], "flexman_gym", BLUE, (4, 4), "left")
     for words, (label, colour, marker) in PEERS.items():
-        mine = [row for row in rows if family_of(row) == words and math.isfinite(_error(row))]
+        mine = [row for row in rows if family_of(row) == words and math.isfinite(row.error)]
         if mine:
             axes.plot(*_points(mine), marker, color=colour, markersize=6.0)
             offset, end, cheapest = PLACES[words]
-            named = min(mine, key=lambda row: row.cpu) if cheapest else min(mine, key=_error)
+            named = min(mine, key=lambda row: row.cpu) if cheapest else min(mine, key=lambda row: row.error)
             _label(axes, named, label, colour, offset, end)
     for row in rows:
         if row.model.startswith(CHOSEN):
@@ -128,17 +117,17 @@ def draw_panel(axes: Any, rows: Sequence[PrecisionRow], floor: float, title: str
     axes.axhline(1e3 * floor, color=SLATE, linewidth=1.0, linestyle="--", zorder=1)
     place = {"xycoords": ("axes fraction", "data"), "textcoords": "offset points"}
     axes.annotate("error of the reference", (0.01, 1e3 * floor), (0, -3), va="top", fontsize=8, color=SLATE, **place)
-    axes.set_ylim(300.0 * floor, 1e3 * HIGHEST * max([_error(row) for row in front] or [floor]))
+    axes.set_ylim(300.0 * floor, 1e3 * HIGHEST * max([row.error for row in front] or [floor]))
 
 
 def _points(rows: Sequence[PrecisionRow]) -> tuple[list[float], list[float]]:
     """Return computing times (ms per s) and errors (mm)."""
-    return [1e3 * row.cpu for row in rows], [1e3 * _error(row) for row in rows]
+    return [1e3 * row.cpu for row in rows], [1e3 * row.error for row in rows]
 
 
 def _label(axes: Any, row: PrecisionRow, text: str, colour: str, offset: tuple[float, float], end: str) -> None:
     """Write a label beside a run; its left or right end is at an offset, points."""
-    place = 1e3 * row.cpu, 1e3 * _error(row)
+    place = 1e3 * row.cpu, 1e3 * row.error
     axes.annotate(text, place, xytext=offset, textcoords="offset points", fontsize=9.5, color=colour, ha=end)
 
 

@@ -47,6 +47,11 @@ class PrecisionRow:
     status: str
 
     @property
+    def error(self) -> float:
+        """Total error, m; infinite for a failed run."""
+        return math.inf if self.status != OK or self.total_error is None else self.total_error
+
+    @property
     def setting(self) -> str:
         """Step or tolerance as text."""
         return f"{1e3 * self.step:.3g} ms" if self.step is not None else f"rtol {self.rtol:.0e}"

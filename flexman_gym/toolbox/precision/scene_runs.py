@@ -2,6 +2,7 @@
 
 import importlib
 from collections.abc import Iterator, Sequence
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -14,10 +15,10 @@ from flexman_gym.model.vibration import modes
 from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.scene import MAX_ELEMENTS, Scene
 from flexman_gym.simulation.integrator import default_step
+from flexman_gym.simulation.methods import DEFAULT_METHOD
 from flexman_gym.simulation.scene_simulation import simulate
 from flexman_gym.toolbox.precision.runs import OK, PrecisionRow, PrecisionScene, ReferenceSolution, Timer
 
-DEFAULT_METHOD = "midpoint_corrected_3"  # method of the environments
 COMPARED = (DEFAULT_METHOD, "midpoint_corrected_2", "midpoint_3", "gauss_2", "gauss_3", "extrapolated_euler_5", "ros2")
 RIGID_METHODS = (DEFAULT_METHOD, "rk4")
 RIGID, RIGID_LINKS, DEFAULT = "rigid", "rigid links, flexible joints", "modes of the default"
@@ -44,6 +45,7 @@ class DefaultRun(NamedTuple):
     step: float
 
 
+@lru_cache(maxsize=8)
 def default_run(scene: Scene) -> DefaultRun:
     """Return model, method and step of an environment with the arm of a scene.
 

@@ -82,9 +82,8 @@ def study(case: PeerScene, reference: Path) -> PrecisionScene:
     return PrecisionScene(case.name, case.scene, built, large_rotation_solution(reference), {PLAIN: plain}, case.title)
 
 
-def measured(case: PeerScene, reference: Path) -> tuple[list[PrecisionRow], Floor]:
+def measured(case: PeerScene, result: PrecisionScene) -> tuple[list[PrecisionRow], Floor]:
     """Return the rows of a scene, ours first and the default before all, and the error of its reference."""
-    result = study(case, reference)
     floor = Floor(case.name, case.title, "", result.reference.floor, result.reference.source)
     choice = chosen(case)
     every = result.models[SHORTENED].n_dof

@@ -1,6 +1,5 @@
 """Page and chart of the comparison with other simulators."""
 
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
@@ -72,7 +71,7 @@ def page(
     mujoco = _cheapest(row for row in peers if (row.model, row.method) == ("MuJoCo, 8 pieces", "Euler"))
     floor = next(each.floor for each in floors if each.scene == PAPER)
     front = front_of(rows, floor)
-    best = {name: _cheapest(row for row in group if _error(row) <= NEAR)
+    best = {name: _cheapest(row for row in group if row.error <= NEAR)
             for name, group in (("ours", front), *((name, [row for row in peers if row.model.startswith(name)])
                                                    for name in ("MuJoCo", "SoRoMoX")))}  # fmt: skip
     mine = [row for row in rows if row.model == PLAIN and row.time_error is not None and row.time_error <= WANTED]
@@ -105,17 +104,12 @@ def chosen_lines(every: Sequence[PrecisionRow], floors: Sequence[Floor], files: 
         rows = [row for row in every if row.scene == floor.scene]
         chosen = next(row for row in rows if row.model.startswith(CHOSEN))
         tolerance, _, size = chosen.model.removeprefix(CHOSEN).partition(": ")
-        whole = [row.cpu for row in rows if row.model == SHORTENED and _error(row) <= _error(chosen)]
+        whole = [row.cpu for row in rows if row.model == SHORTENED and row.error <= chosen.error]
         ratio = f"{min(whole) / chosen.cpu:.2g}" if whole else "-"
         cells.append((floor.title, tolerance, size.removesuffix(" coordinates"), f"`{chosen.method}`, {chosen.setting}",
-                      f"{1e3 * _error(chosen):.2g} mm", f"{1e3 * chosen.cpu:.2g}", ratio))  # fmt: skip
+                      f"{1e3 * chosen.error:.2g} mm", f"{1e3 * chosen.cpu:.2g}", ratio))  # fmt: skip
     source = f"Rows: [peers.csv](evidence/peers.csv), {files['peers.csv']}."
     return ["", *markdown_table(CHOSEN_HEADS, cells), "", source, ""]
-
-
-def _error(row: PrecisionRow) -> float:
-    """Return the error of the tip, m, of a run that did not fail."""
-    return math.inf if row.total_error is None else row.total_error
 
 
 def _ratios(every: Sequence[PrecisionRow], floors: Sequence[Floor]) -> str:
@@ -136,7 +130,7 @@ def _finest(peers: Sequence[PrecisionRow]) -> list[PrecisionRow]:
     for row in peers:
         if row.method != DISCRETE and "rigid" not in row.model and row.status == OK:
             families.setdefault(family_of(row), []).append(row)
-    return [min(runs, key=lambda row: _error(row)) for runs in families.values()]
+    return [min(runs, key=lambda row: row.error) for runs in families.values()]
 
 
 def _named(row: PrecisionRow) -> tuple[str, PrecisionRow]:
@@ -145,7 +139,7 @@ def _named(row: PrecisionRow) -> tuple[str, PrecisionRow]:
 
 def _cells(code: str, row: PrecisionRow) -> tuple[str, ...]:
     model = row.model.removeprefix(f"{code}, ")
-    return code, model, f"{row.method}, {row.setting}", f"{1e3 * _error(row):.2g}", f"{1e3 * row.cpu:.3g}"
+    return code, model, f"{row.method}, {row.setting}", f"{1e3 * row.error:.2g}", f"{1e3 * row.cpu:.3g}"
 
 
 def _cheapest(rows: Iterable[PrecisionRow]) -> PrecisionRow:

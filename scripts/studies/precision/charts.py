@@ -5,8 +5,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from flexman_gym.common.plot_style import SLATE, save_figure
-from flexman_gym.toolbox.precision.runs import OK, PrecisionRow, pareto_front
+from flexman_gym.common.plot_style import save_figure
+from flexman_gym.toolbox.precision.runs import OK, PrecisionRow
 from studies.charts import new_chart
 from studies.methods import line_styles
 from studies.precision.measure import Floor
@@ -38,19 +38,6 @@ def draw_runs(axes: Any, rows: Sequence[PrecisionRow], column: str, label: str, 
     if good:
         values = [row.cpu for row in good], [_shown_error(row, column) for row in good]
         axes.plot(*values, **{"markersize": 5.0, "linewidth": 1.1, "label": label} | look)
-
-
-def front(rows: Sequence[PrecisionRow], column: str, floor: float = 0.0) -> list[PrecisionRow]:
-    """Return the runs of the Pareto front; errors below the floor (m) count as equal."""
-    return [rows[i] for i in pareto_front([(row.cpu, max(floor, _shown_error(row, column))) for row in rows])]
-
-
-def draw_floor(axes: Any, floor: float, label: str) -> None:
-    """Plot a labelled dashed line at the error (m) of the reference."""
-    axes.axhline(floor, color=SLATE, linewidth=1.0, linestyle="--", zorder=1)
-    axes.annotate(
-        label, (0.99, 0.96 * floor), xycoords=("axes fraction", "data"), ha="right", va="top", fontsize=9, color=SLATE
-    )
 
 
 def finish(figure: Any, path: Path) -> None:

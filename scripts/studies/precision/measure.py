@@ -15,6 +15,7 @@ from flexman_gym.scene.signals import ConstantTorque
 from flexman_gym.simulation.methods import EXPLICIT, IMPLICIT, LINEARLY_IMPLICIT, METHODS
 from flexman_gym.simulation.scene_simulation import simulate
 from flexman_gym.toolbox.precision.runs import OK, PrecisionRow, PrecisionScene, ReferenceSolution, converged
+from flexman_gym.toolbox.precision.scene_runs import PATIENCE, PLAIN, RIGID, RIGID_LINKS, SHORTENED
 from studies.methods import fixed_step_methods
 
 
@@ -60,27 +61,6 @@ def cost_at(rows: Sequence[PrecisionRow], error: float) -> float | None:
     return float(np.exp(np.interp(np.log(error), errors, costs)))
 
 
-def settled(rows: Sequence[PrecisionRow], error: float, column: str = "total_error") -> list[PrecisionRow]:
-    """Return the runs whose errors, and those of all finer steps of the same model and method, are within a limit.
-
-    This excludes runs whose model and method errors cancel by chance.
-
-    Args:
-        rows: runs.
-        error: largest error, m.
-        column: "total_error" or "time_error".
-    """
-    return [
-        row
-        for row in rows
-        if all(
-            (getattr(other, column) or 0.0) <= error
-            for other in rows
-            if (other.model, other.method) == (row.model, row.method) and (other.step or 0.0) <= (row.step or 0.0)
-        )
-    ]
-
-
 def setbacks(rows: Sequence[PrecisionRow], factor: float = 10.0) -> list[tuple[PrecisionRow, PrecisionRow]]:
     """Return pairs of a run and a run with a finer step that is less accurate by a factor, or fails.
 
@@ -102,10 +82,8 @@ def setbacks(rows: Sequence[PrecisionRow], factor: float = 10.0) -> list[tuple[P
     return list(pairs.values())
 
 
-MODAL, PLAIN, SHORTENED = "4 modes a link", "2 elements a link", "2 elements a link, foreshortening"
+MODAL = "4 modes a link"
 FINEST, NEXT_FINEST = "4 elements a link, foreshortening", "3 elements a link, foreshortening"
-RIGID, RIGID_LINKS = "rigid", "rigid links, flexible joints"
-PATIENCE = 1.0  # s; a method with a longer run gets no finer setting
 LARGE_ROTATION = "paper_ff_large_rotation.csv"
 
 _MS = 1e-3

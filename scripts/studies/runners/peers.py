@@ -8,7 +8,7 @@ import flexman_gym as fm
 from flexman_gym.common.computer import computer_text
 from flexman_gym.toolbox.precision.runs import PrecisionRow
 from studies.evidence import ROOT
-from studies.peers.measure import PAPER, PEERS, Decay, batch_rows, decays, measured, of_peers, scenes, study
+from studies.peers.measure import PEERS, Decay, batch_rows, decays, measured, of_peers, scenes, study
 from studies.peers.page import chosen_lines, draw, page
 from studies.precision.measure import Floor
 from studies.readme import replaced_part
@@ -20,10 +20,10 @@ PAGE = ROOT / "docs" / "accuracy_and_speed.md"  # has a table of the rows
 
 def measure(options: Namespace) -> Iterator[Iterable[Any]]:
     """Yield the rows of all simulators, the errors of the references, and the numerical damping of the simulators."""
-    done = [measured(case, REFERENCE) for case in scenes(REFERENCE)]
-    paper = next(rows for rows, floor in done if floor.scene == PAPER)
-    batches = batch_rows(study(scenes(REFERENCE)[0], REFERENCE), paper)
-    yield [row for rows, _ in done for row in rows] + batches
+    results = [(case, study(case, REFERENCE)) for case in scenes(REFERENCE)]
+    done = [measured(*each) for each in results]
+    paper = done[0][0]
+    yield [row for rows, _ in done for row in rows] + batch_rows(results[0][1], paper)
     yield [floor for _, floor in done]
     yield decays(fm.catalog.paper_rrr(), of_peers(paper))
 
