@@ -121,4 +121,4 @@ def test_precision_has_its_runs(tmp_path, monkeypatch, capsys):
     found, err = document(words, capsys)
     assert {run["method"] for run in found["runs"]} >= {"gauss_3"} and all(run["cpu"] > 0.0 for run in found["runs"])
     assert found["reference"]["error"] >= 0.0 and found["conclusion"].startswith("The default")
-    assert err.splitlines()[-1] == "out/precision.png shows all runs"
+    assert err.splitlines()[-1] == "out/precision.png has the chart"
