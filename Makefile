@@ -3,7 +3,7 @@ TORCH := torch==2.13.0
 RUN := .venv/bin/python -m
 CODE := flexman_gym agents scripts
 
-.PHONY: demo test kernels quick lint site pages bundle verify wheel wheels clients evidence clean
+.PHONY: demo test kernels quick lint site pages bundle verify wheel wheels publishable clients evidence clean
 
 demo: .venv/installed
 	.venv/bin/flexman demo
@@ -53,6 +53,10 @@ wheel:
 wheels: .venv/installed
 	@mkdir -p out
 	@TORCH=$(TORCH) TRIAL=$(TRIAL) scripts/wheels.sh out/wheels
+
+# What a publication still lacks: empty addresses, metadata, long description, licences, contents of the wheel.
+publishable: .venv/installed
+	.venv/bin/python scripts/publishable.py
 
 # Short training loops of Stable-Baselines3, sb3-contrib, skrl, TorchRL and Tianshou, in an environment of their own.
 clients:

@@ -17,7 +17,7 @@ def texts(root: Path, only: Collection[Path] = ()) -> dict[Path, str]:
     for path in (first, *sorted((root / "docs").rglob("*.md"))):
         if path.name != "changelog.md" and (not only or path in only):
             text = path.read_text(encoding="utf-8")
-            result[path] = readme(text, sources, root / "mkdocs.yml") if path == first else updated(text, sources)
+            result[path] = readme(text, sources) if path == first else updated(text, sources)
     return result
 
 

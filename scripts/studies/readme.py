@@ -2,11 +2,8 @@
 
 from collections.abc import Iterable
 from functools import cache
-from pathlib import Path
-from typing import Any
 
 import numpy as np
-import yaml
 
 from flexman_gym.common.formatting import millimetres
 from flexman_gym.common.markdown import markdown_table
@@ -68,13 +65,12 @@ def replaced_part(text: str, name: str, lines: Iterable[str]) -> str:
     return "\n".join([head + above, *lines, below + tail])
 
 
-def readme(text: str, sources: Sources, settings: Path) -> str:
+def readme(text: str, sources: Sources) -> str:
     """Return the README with its generated parts and the numbers of its sentences.
 
     Args:
         text: the README.
         sources: stored rows.
-        settings: mkdocs.yml, with the address of the repository, the DOI and the badges.
 
     Returns:
         The README.
@@ -83,23 +79,12 @@ def readme(text: str, sources: Sources, settings: Path) -> str:
         ValueError: if the markers of a generated part are missing.
     """
     parts = {
-        "badges": badges(yaml.safe_load(settings.read_text(encoding="utf-8"))),
         "results": [*results(sources.standings), "", intervals_text(int(window_and_episodes(sources)[1]))],
         "environments": environments(),
     }
     for name, lines in parts.items():
         text = replaced_part(text, name, lines)
     return updated(text, sources)
-
-
-def badges(settings: dict[str, Any]) -> list[str]:
-    """Return the line with badges, repository and DOI; no line while all these settings are empty."""
-    extra = settings.get("extra") or {}
-    address, doi = settings.get("repo_url") or "", extra.get("doi") or ""
-    shown = [f"![badge]({each})" for each in extra.get("badges") or ()]
-    shown += [f"[Repository]({address})"] if address else []
-    shown += [f"[DOI {doi}](https://doi.org/{doi})"] if doi else []
-    return [" ".join(shown)] if shown else []
 
 
 def results(standings: Standings) -> list[str]:

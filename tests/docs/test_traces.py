@@ -12,7 +12,6 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-import yaml
 
 from flexman_gym.envs.config.named_environments import DEFAULT_ID
 from flexman_gym.toolbox.league.rows import VALUES, EpisodeRow, LeagueRows
@@ -23,7 +22,7 @@ from studies.control.page import page as control_page
 from studies.files import read_comments
 from studies.machine.measure import FitRow
 from studies.machine.page import page as machine_page
-from studies.readme import UNKNOWN, badges, readme, results
+from studies.readme import UNKNOWN, readme, results
 from studies.results import Results
 from studies.safety.measure import SafetyRow
 from studies.safety.page import cells as safety_cells
@@ -35,7 +34,6 @@ from studies.sources import Sources
 from oracles.files import ROOT
 
 README = (ROOT / "README.md").read_text(encoding="utf-8")
-SETTINGS = ROOT / "mkdocs.yml"
 DRAWN = {"README": 40, "control": 12, "machine": 4, "safety": 12, "servos": 12}  # numbers by page
 SENTENCE_FILES = {
     "baselines": "baselines.csv",
@@ -230,7 +228,7 @@ def universe(page):
 @pytest.mark.slow
 def test_the_numbers_of_readme_and_pages_are_those_of_the_rows():
     known = Sources(ROOT / "docs")
-    assert readme(README, known, SETTINGS) == README, "run python scripts/readme.py"
+    assert readme(README, known) == README, "run python scripts/readme.py"
     for page in (ROOT / "docs").rglob("*.md"):
         text = page.read_text(encoding="utf-8")
         assert page.name == "changelog.md" or updated(text, known) == text, f"{page.name}: run python scripts/readme.py"
@@ -250,17 +248,6 @@ def origin(page, number):
         if name == page and (found := trace(number, source)):
             return source.file, *found
     return None
-
-
-def test_address_doi_and_badges_are_hidden_while_they_are_empty():
-    assert badges(yaml.safe_load(SETTINGS.read_text(encoding="utf-8"))) == badges({}) == []
-    given = {
-        "repo_url": "https://a.example/b",
-        "extra": {"doi": "10.5281/zenodo.1", "badges": ["https://a.example/c.svg"]},
-    }
-    (line,) = badges(given)
-    assert line == "![badge](https://a.example/c.svg) [Repository](https://a.example/b) " \
-        "[DOI 10.5281/zenodo.1](https://doi.org/10.5281/zenodo.1)"  # fmt: skip
 
 
 @pytest.mark.slow
