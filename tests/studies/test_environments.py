@@ -12,7 +12,8 @@ from flexman_gym.envs.tasks import TASKS
 from flexman_gym.evaluation.shares import share_text
 from studies.environments.family import FAMILIES
 from studies.environments.measure import BASELINES, LONG_NAME, SEEDS, accuracy, baseline_rows, run
-from studies.environments.text import SECTIONS, baseline_table, docstring_sections, length
+from studies.environments.rewards import reward, reward_lines
+from studies.environments.text import SECTIONS, baseline_table, docstring_sections, is_slew, length, make
 from studies.results import Results
 
 from oracles.files import ROOT
@@ -38,10 +39,28 @@ def test_a_task_has_the_sections_of_gymnasium_in_their_order(task):
 def test_the_page_of_a_family_begins_with_tables_of_actions_and_observations(family):
     text = (PAGES / f"{family.file}.md").read_text(encoding="utf-8")
     titles = re.findall(r"^## (.*)$", text, re.MULTILINE)
-    assert titles == ["Actions", "Observations", "Arm", *family.environments]
+    reward = ["Reward"] if is_slew(family.environments[0]) else []
+    assert titles == ["Actions", "Observations", *reward, "Arm", *family.environments]
     for name in family.environments:
         for suffix, least, most in (("svg", 20_000, 150_000), ("gif", 50_000, 400_000)):
             assert least < (PAGES / f"{name}.{suffix}").stat().st_size < most and f"({name}.{suffix})" in text
+
+
+def test_the_plotted_rewards_are_those_of_their_formulas():
+    errors, speeds, reach, slew_time = np.array([0.0, 0.02, 5.0]), np.array([0.0, 0.3, 1.0]), 8.5, 3.2
+    near, far = reach / 425.0, reach / 1.7
+    expected = 1.0 - np.log1p((errors**2 + (slew_time * speeds / 32.0) ** 2) / near**2) / np.log1p((far / near) ** 2)
+    np.testing.assert_allclose(reward("distance", errors, speeds, reach, slew_time), expected, atol=1e-12)
+    bells = np.mean([1.0 / (1.0 + (errors / width) ** 2) for width in (2.0, 0.4, 0.08)], axis=0)
+    expected = 0.7 * bells + 0.2 / (1.0 + (speeds / 0.3) ** 2) + 0.1
+    np.testing.assert_allclose(reward("bells", errors, speeds, reach, slew_time), expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["FlexRRR-v0", "FlexOne-v0"])
+def test_a_page_names_the_default_reward_of_its_environment(name):
+    default = make(name).configuration.task.reward
+    text = " ".join(reward_lines(name))
+    assert f"is `{default}`" in text and ('reward="distance"' in text) == (default == "bells")
 
 
 @pytest.mark.evidence

@@ -16,6 +16,7 @@ from flexman_gym.envs.tasks import Slew
 from flexman_gym.scene import catalog
 from flexman_gym.scene.link import Link
 from studies.environments.measure import AGENTS, DURATION, SHAPED, SPREAD, Baseline, ModelError, baselines_of, travels
+from studies.environments.rewards import reward_lines
 from studies.environments.text import (
     arm_facts,
     baseline_table,
@@ -146,6 +147,7 @@ def family_page(family: Family, baselines: Sequence[Baseline], errors: Sequence[
         "```python", "import gymnasium as gym", "import flexman_gym", "", f'env = gym.make("{first}")', "```", "",
         "## Actions", "", *_actions(family), "",
         "## Observations", "", *_observations(family),
+        *(["## Reward", "", *reward_lines(first), ""] if is_slew(first) else []),
         "## Arm", "", *_arms(family), "", *_differences(first),
     ]  # fmt: skip
     for name in family.environments:

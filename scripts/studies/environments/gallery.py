@@ -9,11 +9,12 @@ from flexman_gym.common.markdown import markdown_table
 from flexman_gym.envs.config.named_environments import DEFAULT_ID, NAMED_ENVIRONMENTS, condition_names
 from flexman_gym.envs.registration import CONDITION_FOLDER, CONDITIONS, NOMINAL
 from flexman_gym.envs.sensors import SENSOR_NAMES
-from flexman_gym.envs.tasks import TASKS
+from flexman_gym.envs.tasks import TASKS, Slew
 from flexman_gym.evaluation.shares import intervals_text
 from flexman_gym.metrics import BAND, SETTLING_WINDOW, VIBRATION_WINDOW
 from studies.environments.family import ACTION_SECONDS, ARMS, FAMILIES, RECIPE
 from studies.environments.measure import DURATION, FINER, LONG, MOTIONS, SEEDS, SHAPED, Baseline, baselines_of
+from studies.environments.rewards import ALTERNATIVE, PICTURE
 from studies.environments.text import (
     docstring_sections,
     episodes_text,
@@ -90,6 +91,7 @@ def tasks_page() -> str:
     for kind, task in TASKS.items():
         if any(type(named.task) is task for named in NAMED_ENVIRONMENTS.values()):
             lines += [f"## {kind.capitalize()}", "", *_task_text(task), ""]
+            lines += [f"![{ALTERNATIVE}]({PICTURE})", ""] if task is Slew else []
     return "\n".join(lines).rstrip() + "\n"
 
 

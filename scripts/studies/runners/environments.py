@@ -21,6 +21,7 @@ from studies.environments.measure import (
     model_error,
     run,
 )
+from studies.environments.rewards import draw_rewards
 from studies.results import Results
 from studies.study import Study, Table
 
@@ -54,4 +55,5 @@ RUNNER = Study(
     measure=measure,
     pages={"index.md": _gallery, "tasks.md": lambda *_: tasks_page()}
     | {f"{family.file}.md": partial(_family, family) for family in FAMILIES},
+    charts=lambda folder, *_: draw_rewards(folder),
 )
