@@ -131,17 +131,18 @@ def _label(axes: Any, row: PrecisionRow, text: str, colour: str, offset: tuple[f
     axes.annotate(text, place, xytext=offset, textcoords="offset points", fontsize=9.5, color=colour, ha=end)
 
 
-def draw_scenes(scenes: Sequence[tuple[Sequence[PrecisionRow], float, str]], path: Path) -> Path:
-    """Draw a panel for each scene, two side by side, and return the path of the picture.
+def draw_scenes(scenes: Sequence[tuple[Sequence[PrecisionRow], float, str]], path: Path, columns: int = 2) -> Path:
+    """Draw a panel for each scene, and return the path of the picture.
 
     Args:
         scenes: arguments of `draw_panel` after the axes, for each scene.
         path: path of the picture; its suffix decides the format.
+        columns: largest number of panels side by side.
 
     Raises:
         ImportError: without Matplotlib.
     """
-    columns = min(2, len(scenes))
+    columns = min(columns, len(scenes))
     lines = math.ceil(len(scenes) / columns)
     figure = new_figure((PANEL[0] * columns, PANEL[1] * lines), DPI, layout="constrained")
     every = figure.subplots(lines, columns, squeeze=False, sharex=len(scenes) > 1)

@@ -19,7 +19,7 @@ from studies.peers.measure import PAPER, ROUNDS, Decay, of_peers
 from studies.precision.measure import Floor, cost_at
 from studies.screen import picture, screen
 
-PICTURE = "speed_accuracy.svg"
+PICTURE, NARROW = "speed_accuracy.svg", "speed_accuracy_phone.svg"  # two panels side by side; one, for phones
 NEAR = 5e-3  # m; error at which costs of all simulators are compared
 WANTED = 3e-3  # m; time error at which costs are compared
 DISCRETE = "discrete"
@@ -52,6 +52,7 @@ def draw(every: Sequence[PrecisionRow], floors: Sequence[Floor], folder: Path) -
         rows = [row for row in every if row.scene == floor.scene]
         panels.append((rows, floor.floor, f"{floor.title}\n{conclusion(rows)}"))
     draw_scenes(panels, folder / PICTURE)
+    draw_scenes(panels, folder / NARROW, columns=1)
 
 
 def page(
