@@ -208,9 +208,9 @@ def test_the_charts_are_there(tmp_path):
     pytest.importorskip("matplotlib")
     known = book(scenarios=(NOMINAL, "FlexRRR-Track-v0", "FlexRRR-v0/delay=0", "FlexRRR-v0/delay=1"))
     write_page(known, tmp_path)
-    assert {path.name for path in tmp_path.glob("*.png")} == {CHART, SWEEP_CHART}
+    assert {path.name for path in tmp_path.glob("*.svg")} == {CHART, SWEEP_CHART}
     text = (tmp_path / PAGE).read_text()
-    assert all(f"]({path.name})" in text for path in tmp_path.glob("*.png"))
+    assert all(f"]({path.name})" in text for path in tmp_path.glob("*.svg"))
 
 
 def test_lines_of_sweeps_are_told_apart_on_white():
