@@ -38,7 +38,8 @@ def side_by_side(
     """Return frames (height, width, 3), uint8, of episodes side by side, with equal camera directions and scales.
 
     The names of the agents and their tip errors stand above the arms. If the episodes have targets, a strip chart below
-    shows the tip errors up to the time of the frame. The violet line is the path of the tip since the start.
+    shows the tip errors up to the time of the frame. The violet line is the path of the tip since the start; with a
+    magnification the violet dot is the true tip.
 
     Args:
         episodes: at least one episode.

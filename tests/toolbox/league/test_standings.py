@@ -194,6 +194,19 @@ def test_agents_are_chosen_among_those_with_the_same_information(tmp_path):
     ]
 
 
+def test_the_page_has_the_numbers_of_the_heat_map_as_a_table(tmp_path):
+    """Agents in the order of their information; settled episodes, %, and median settling time, s."""
+    times = {("lqr", NOMINAL): 1.0, ("pd", NOMINAL): np.inf}
+    table = page_text(standing(settled=times), tmp_path).partition('<div class="narrow" markdown>')[2].split("\n\n")[1]
+    rows = [[cell.strip(" `") for cell in line.split("|")[1:3]] for line in table.splitlines()]
+    assert rows[0] == ["agent", NOMINAL] and not {"zero", "random"} & {agent for agent, _ in rows}
+    found = dict(rows)
+    assert (found["pd"], found["lqr"], found["privileged-lqr"]) == ("0", "100, 1.00", "100, 3.00")
+    assert [agent for agent in found if agent in ("pd", "lqg", "lqr", "privileged-lqr")] == [
+        "pd", "lqg", "lqr", "privileged-lqr",
+    ]  # fmt: skip
+
+
 def test_every_agent_has_a_kind_of_information():
     kinds = {agent: describe_agent(agent).kind for agent in AGENTS if agent not in SIMPLE_AGENTS}
     assert set(kinds.values()) == set(INFORMATION)
