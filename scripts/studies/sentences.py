@@ -30,6 +30,7 @@ from studies.starts.page import total
 INDEPENDENT = "independent automatic-differentiation code"  # source of rows of the verification
 LARGE_ROTATION = "paper FF {} foreshortening, tip within 2 s, m"  # cases of the verification
 MICROMETRE = 1e-6  # m
+PICTURED = "shaping-flexrrr"  # policy of the first picture, see scripts/pictures.py
 SECOND_HUB = CURRENT, "motor_angle_2", "R2"  # row of the comparison with a real arm
 
 
@@ -109,6 +110,11 @@ def _steps(sources: Sources) -> tuple[str, str, str]:
 def _pd_settles(sources: Sources) -> tuple[str]:
     """Return the median settling time of the PD in longer episodes, s."""
     return (f"{next(row.settling_time for row in sources.baselines if row.baseline == LONG_NAME):.0f}",)
+
+
+def _policy_settles(sources: Sources) -> tuple[str]:
+    """Return the median settling time of the policy of the first picture, s."""
+    return (f"{-sources.standings.settled(PICTURED, DEFAULT_ID)[1]:.2f}",)
 
 
 def _reach(sources: Sources) -> tuple[str]:
@@ -250,7 +256,8 @@ SENTENCES = (  # with numbers of stored rows
     Sentence(r"the second hub angle of a Quanser arm is not predicted \(R2 (-[\d.]+)", _second_hub),
     Sentence(r"The PD settles after ([\d.]+) s", _pd_settles),
 )
-DEFINITIONS = (  # with numbers of environments, metrics, cases of the verification, certificates and other plants
+DEFINITIONS = (  # with numbers of environments, the first picture, metrics, cases of the verification, certificates and other plants
+    Sentence(r"The policy settles after ([\d.]+) s", _policy_settles),
     Sentence(r"first mode at ([\d.]+) Hz\), hardly damped \(([\d.]+) % of critical", _task),
     Sentence(r"observation \| (\d+) numbers", _interface),
     Sentence(r"action \| (\d+) motor torques as fractions of ([\d.]+) N m, (\d+) times per second", _action),

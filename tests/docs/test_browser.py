@@ -1,12 +1,16 @@
-"""Tests of the site in Chromium: search from a disk, wide tables, length of pages, equations, and the replay page."""
+"""Tests of the site in Chromium: search from a disk, wide tables, length of pages, equations, pictures, replay."""
 
+import base64
+import io
 import shutil
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 import site_counts
 import yaml
+from PIL import Image
 
 from oracles.browser import one_browser
 from oracles.files import ROOT
@@ -140,4 +144,73 @@ def test_the_experiment_works_on_a_phone_and_with_keys(browser, site):
             browser.run("return getComputedStyle(document.querySelector('.ringing')).getPropertyValue('--tip')")
         )
     assert len(colours) == 2 and browser.run(AWAY) == [] and browser.said() == []
+    browser.size(1280, 720)
+
+
+PICTURES = {  # page -> its pictures
+    "index": ("side_by_side.gif", "live.gif", "speed_accuracy.svg"), "concepts": ("my_modes.png",),
+    "environments/index": ("FlexRRR-v0.gif",), "environments/FlexRRR": ("FlexRRR-v0.svg",),
+    "league/league": ("league.svg", "sweeps.svg"), "results": ("learning_FlexRRR-v0.svg",),
+    "the_paper": ("paper_figures.png",),
+}  # fmt: skip
+WHITE = 235  # of 255; brightness of a sheet of paper
+
+
+def screenshot(browser, name):
+    """Return the brightness (h, w), 0 to 255, of a picture of the page on the screen."""
+    browser.run(f"window.shown = document.querySelector('img[src*=\"{name}\"]'); shown.scrollIntoView()")
+    browser.wait("shown.complete && shown.naturalWidth")
+    browser.run("scrollBy(0, -80)")  # below the header
+    box = browser.run("const b = shown.getBoundingClientRect(); return [b.left, b.top, b.right, b.bottom]")
+    page = Image.open(io.BytesIO(base64.b64decode(browser.picture()))).convert("L")
+    return np.asarray(page.crop(tuple(map(round, (*box[:3], min(box[3], page.height))))))
+
+
+@pytest.mark.parametrize("page", PICTURES)
+def test_pictures_are_no_white_sheets_on_a_dark_page_and_fit_a_phone(page, browser, site):
+    for width, height in ((390, 844), (1280, 900)):
+        browser.size(width, height)
+        browser.open(f"file://{site / page}.html", "document.readyState === 'complete'")
+        for name in PICTURES[page]:
+            if name == "league.svg" and width == 390:
+                continue  # a table is in its place
+            shares = []
+            for scheme in ("default", "slate"):
+                browser.run(f"document.body.setAttribute('data-md-color-scheme', '{scheme}')")
+                shares.append((screenshot(browser, name) > WHITE).mean())
+            assert shares[0] > 0.2 and shares[1] < 0.05, (name, width, shares)
+            assert browser.run("return shown.getBoundingClientRect().right") <= width, (name, width)
+        assert browser.run("return document.documentElement.scrollWidth") <= width
+    browser.size(1280, 720)
+
+
+def test_the_map_of_the_league_has_its_own_size_and_is_a_table_on_a_phone(browser, site):
+    browser.open(f"file://{site / 'league/league'}.html", "document.readyState === 'complete'")
+    shown = "return ['.wide img', '.narrow table'].map(each => document.querySelector(each).checkVisibility())"
+    for width, expected in ((1280, [True, False]), (390, [False, True])):
+        browser.size(width, 900)
+        assert browser.run(shown) == expected
+    browser.size(1280, 900)
+    browser.wait("document.querySelector('.wide img').naturalWidth")
+    scale = "const map = document.querySelector('.wide img'); return map.clientWidth / map.naturalWidth"
+    assert browser.run(scale) > 0.95
+    browser.size(1280, 720)
+
+
+def test_the_charts_of_the_embedded_replay_are_legible(browser, site):
+    """Each has a height for its labels, and all parts are in the window or reached by scrolling, also on a phone."""
+    for width, height in ((1280, 900), (390, 844)):
+        browser.size(width, height)
+        browser.open(f"file://{site / 'environments/index'}.html", "document.readyState === 'complete'")
+        browser.size(*browser.run("const f = document.querySelector('iframe'); return [f.clientWidth, f.clientHeight]"))
+        browser.open(f"file://{site / 'replay'}.html")
+        browser.wait("document.querySelectorAll('.u-over').length === 3")
+        heights, sides = browser.run("""
+            const plots = [...document.querySelectorAll('aside .plot')];
+            return [plots.map(each => each.querySelector('.u-over').clientHeight),
+                    plots.map(each => each.getBoundingClientRect().right)]""")
+        assert min(heights) >= 60 and heights[0] >= 90, heights
+        assert max(sides) <= browser.run("return innerWidth")
+        first = "return document.querySelector('aside .plot').getBoundingClientRect().bottom <= innerHeight"
+        assert browser.run(first), "the chart of the tip error is on the screen"
     browser.size(1280, 720)

@@ -86,6 +86,26 @@ def test_links_and_pictures_lead_somewhere(page):
     assert list(wrong_links(page)) == []
 
 
+PICTURES = {".gif", ".jpg", ".png", ".svg"}
+
+
+def unused(pictures, texts):
+    """Return the paths of the pictures that no text shows, by Markdown, HTML or a style."""
+    used = {target for text in texts for target in re.findall(r"[\w.-]+\.(?:gif|jpg|png|svg)\b", text)}
+    return [picture for picture in pictures if picture.name not in used]
+
+
+def test_every_picture_is_shown():
+    texts = [*(prose(text) for text in PAGES.values()), (ROOT / "mkdocs.yml").read_text(encoding="utf-8")]
+    own = [path for path in DOCS.rglob("*") if path.suffix in PICTURES and "katex" not in path.parts]
+    assert len(own) > 40 and unused(own, texts) == []
+
+
+def test_unused_pictures_are_found():
+    text = prose("![a](b/c.png)\n`savefig('d.png')`\n```python\nfigure.savefig('d.png')\n```\n")
+    assert unused([Path("b/c.png"), Path("d.png")], [text]) == [Path("d.png")]
+
+
 FOLDERS = ("docs", "scripts", "tests", "agents", "flexman_gym")
 FILE_NAME = re.compile(rf"(?<![\w./-])(?:{'|'.join(FOLDERS)})/[\w./-]+\.(?:md|py|csv|yaml|yml|js|json|npz|svg|png)\b")
 
@@ -109,7 +129,7 @@ def test_missing_files_are_found():
 
 
 def test_wrong_links_are_found():
-    texts = {"docs/index.md": "# One `two`, three\n[a](no.md) ![b](arm.png) [c](#one-two-three) [d](#four) `[e](f)`\n"
+    texts = {"docs/index.md": "# One `two`, three\n[a](no.md) ![b](live.gif) [c](#one-two-three) [d](#four) `[e](f)`\n"
              "[g](../README.md) [h](theory.md#a-link) [i](theory.md#nothing) [j](https://nowhere)\n",
              "docs/theory.md": PAGES["docs/theory.md"]}  # fmt: skip
     assert list(wrong_links("docs/index.md", texts)) == ["no.md", "#four", "../README.md", "theory.md#nothing"]

@@ -11,7 +11,7 @@ from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.envs.tasks import TASKS
 from flexman_gym.evaluation.shares import share_text
 from studies.environments.family import FAMILIES
-from studies.environments.measure import BASELINES, LONG_NAME, SEEDS, accuracy, baseline_rows, run
+from studies.environments.measure import BASELINES, LONG_NAME, SEEDS, SPEED, accuracy, baseline_rows, run
 from studies.environments.rewards import reward, reward_lines
 from studies.environments.text import SECTIONS, baseline_table, docstring_sections, is_slew, length, make
 from studies.results import Results
@@ -72,6 +72,18 @@ def test_the_gallery_shows_every_environment_and_links_to_its_section():
         file, section = link.split("#")
         assert f"## {name}\n" in (PAGES / file).read_text(encoding="utf-8") and section == name.lower()
         assert f"]({name}.gif)]({link})" in text
+
+
+def test_a_caption_of_the_gallery_states_the_speed_and_where_the_pd_is_better(baselines):
+    lines = (ROOT / "docs" / "environments" / "index.md").read_text(encoding="utf-8").splitlines()
+    found = {(row.environment, row.baseline): row for row in baselines}
+    for name in NAMED_ENVIRONMENTS:
+        caption = next(line for line in lines if line.startswith(f"[**{name}**]"))
+        assert (" times slower" in caption) == (SPEED.get(name, 1.0) < 1.0), name
+        pd, lqr = (found.get((name, each)) for each in ("PD", "tracking LQR"))
+        slew = "move the tip" in caption
+        better = lqr is not None and (pd.settling_time < lqr.settling_time if slew else pd.rms_error < lqr.rms_error)
+        assert ("The PD " in caption) == better, name
 
 
 @pytest.mark.evidence

@@ -15,7 +15,13 @@ from flexman_gym.evaluation.agent_info import INFORMATION, describe_agent
 from flexman_gym.evaluation.agent_spec import SIMPLE_AGENTS
 from flexman_gym.evaluation.shares import intervals_text
 from flexman_gym.metrics.signals import BAND
-from flexman_gym.toolbox.league.charts import CHART, SWEEP_CHART, draw_charts
+from flexman_gym.toolbox.league.charts import (
+    CHART,
+    SWEEP_CHART,
+    agents_by_information,
+    draw_charts,
+    result_cell,
+)
 from flexman_gym.toolbox.league.details import (
     short_name,
     sweep_text,
@@ -49,11 +55,22 @@ the nominal model and the starts and goals of the episodes in advance.
 
 ## Results
 
+<div class="wide" markdown>
+
 ![Share of settled episodes of each agent in each scenario]({chart})
 
-Upper number: settled episodes, %. Lower number: median settling time. For moving goals (Track, Hold) the number is the
-median RMS tip error in mm, and the shade the error of `{oracle}` relative to it. Grey: not run, because the agent
-needs another arm, or information that cannot be measured there. A name such as `payload` is a condition of `{known}`.
+</div>
+
+Upper number: settled episodes, %. Lower number: median settling time, s. For moving goals (Track, Hold) the number is
+the median RMS tip error in mm, and the shade the error of `{oracle}` relative to it. No number: not run, because the
+agent needs another arm, or information that cannot be measured there. A name such as `payload` is a condition of
+`{known}`.
+
+<div class="narrow" markdown>
+
+{results}
+
+</div>
 
 ## Limits
 
@@ -126,6 +143,7 @@ def _page_text(standings: Standings) -> str:
         choice="\n".join(_choice_table(standings)),
         block=BLOCK,
         chart=CHART,
+        results="\n".join(_results_table(standings)),
         limits=_limits(standings),
     )
 
@@ -202,6 +220,15 @@ def _choice_table(standings: Standings) -> list[str]:
             results = [standings.settling_text(agent, each) for each in columns]
             rows.append([given, f"`{agent}`", *results, number_text(standings.cost(agent, standings.scenarios)[0])])
     return markdown_table(["given", "agent", *(f"`{short_name(each)}`" for each in columns), "action, CPU us"], rows)
+
+
+def _results_table(standings: Standings) -> list[str]:
+    """Return the numbers of the heat map as a table, for screens on which the map is too small."""
+    rows = []
+    for agent in agents_by_information(standings):
+        cells = [result_cell(standings, agent, each) for each in standings.scenarios]
+        rows.append([f"`{agent}`", *(", ".join(filter(None, [cell.number or "-", cell.time])) for cell in cells)])
+    return markdown_table(["agent", *(f"`{short_name(each)}`" for each in standings.scenarios)], rows)
 
 
 def _limits(standings: Standings) -> str:

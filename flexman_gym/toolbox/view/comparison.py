@@ -11,14 +11,17 @@ from flexman_gym.common.errors import value_error
 from flexman_gym.common.plot_style import BLUE, DARK, GREEN, LIGHT, MIDDLE, RED, VIOLET, new_figure
 from flexman_gym.model.deformation import curves
 from flexman_gym.simulation.episode import Episode
-from flexman_gym.toolbox.view.frames import FramePainter
+from flexman_gym.toolbox.view.frames import MARGINS, FramePainter
 from flexman_gym.toolbox.view.overlay import WARNING, describe_frame, font_size, write_text
 
 COLOURS = (BLUE, RED, GREEN, VIOLET)
 MAX_FRAMES = 3000  # frames of a video, 8 GB of 1280 x 720 pixels
 VIEW_STATES, LINK_POINTS = 120, 4  # number of states of an episode, and of points on a link, that the camera shows
-STRIP_SHARE = 0.24  # height of the strip chart / height of the picture
-VISIBLE_SHARE, MAX_GAIN = 0.25, 100.0  # largest drawn displacement by the links / reach; largest suggested gain
+STRIP_SHARE = 0.26  # height of the strip chart / height of the picture
+TEXT_ROWS = 20  # height of the picture / height of its letters, at least; legible on a phone
+PAPER = "#f3f6f9"  # background of the strip chart, the colour of the floor of a frame
+VISIBLE_SAG, MAX_GAIN = 0.125, 100.0  # largest drawn sag of a link / its length; largest suggested gain
+SAG_POINTS = 9  # number of points on a link between which its sag is searched
 LINE = 1.45  # distance of two lines of text / height of the letters
 DPI = 100.0  # pixels per inch of the strip chart
 Picture = NDArray[np.uint8]
@@ -35,7 +38,8 @@ def side_by_side(
     """Return frames (height, width, 3), uint8, of episodes side by side, with equal camera directions and scales.
 
     The names of the agents and their tip errors stand above the arms. If the episodes have targets, a strip chart below
-    shows the tip errors up to the time of the frame. The violet line is the path of the tip since the start.
+    shows the tip errors up to the time of the frame. The violet line is the path of the tip since the start; with a
+    magnification the violet dot is the true tip.
 
     Args:
         episodes: at least one episode.
@@ -61,9 +65,10 @@ def side_by_side(
 
 
 def suggested_gain(episodes: Sequence[Episode]) -> float:
-    """Return a magnification at which the deflection of the links is seen and the arms stay in the picture.
+    """Return a magnification at which the links are seen to bend.
 
-    The largest displacement of a tip by the deflection of the links is drawn as at most VISIBLE_SHARE of the reach.
+    The largest sag of a link, the distance of its centreline from the chord between its ends, is drawn as at most
+    VISIBLE_SAG of its length.
 
     Args:
         episodes: at least one episode.
@@ -71,17 +76,18 @@ def suggested_gain(episodes: Sequence[Episode]) -> float:
     Returns:
         1, 2, 5, 10, ... up to MAX_GAIN; 1 for rigid links.
     """
-    gains = [MAX_GAIN]
-    for episode in episodes:
-        if not episode.model.n_elastic:
-            continue
-        rows = np.unique(np.linspace(0, len(episode.time) - 1, VIEW_STATES).astype(int))
-        bent, rigid = (
-            curves(episode.model, episode.states[rows], 2, gain, 1.0).positions[:, -1, -1] for gain in (1, 0)
-        )
-        largest = float(np.nanmax(np.linalg.norm(bent - rigid, axis=1)))
-        gains.append(VISIBLE_SHARE * float(episode.model.constants.length.sum()) / max(largest, 1e-12))
-    return 1.0 if len(gains) == 1 else rounded_gain(min(gains))
+    elastic = [each for each in episodes if each.model.n_elastic]
+    return rounded_gain(VISIBLE_SAG / max(max(map(_largest_sag, elastic)), 1e-12)) if elastic else 1.0
+
+
+def _largest_sag(episode: Episode) -> float:
+    """Return the largest sag of a link of an episode, as a fraction of its length."""
+    rows = np.unique(np.linspace(0, len(episode.time) - 1, VIEW_STATES).astype(int))
+    points = curves(episode.model, episode.states[rows], SAG_POINTS).positions
+    away = points - points[:, :, :1]
+    along = away[:, :, -1:] / np.linalg.norm(away[:, :, -1:], axis=-1, keepdims=True)
+    sags = np.linalg.norm(away - (away * along).sum(axis=-1, keepdims=True) * along, axis=-1).max(axis=-1)
+    return float(np.nanmax(sags / episode.model.constants.length))
 
 
 def rounded_gain(gain: float) -> float:
@@ -102,21 +108,22 @@ class _Panels:
 
     def __init__(self, episodes: Sequence[Episode], size: tuple[int, int], end: float, gain: float | Vector) -> None:
         width, height = size
-        self._episodes, self._size, self._font = episodes, size, font_size(height)
+        self._episodes, self._size, self._font = episodes, size, font_size(round(33.0 / TEXT_ROWS * height))
         self._line, self._end = round(LINE * self._font), end
         has_errors = any(np.isfinite(each.errors).any() for each in episodes)
-        self._strip = _ErrorStrip(episodes, end, (width, round(STRIP_SHARE * height))) if has_errors else None
-        self._head = self._font // 2 + 2 * self._line
-        room = height - self._head - self._line - (round(STRIP_SHARE * height) if has_errors else 0)
+        strip = round(STRIP_SHARE * height) if has_errors else 0
+        self._strip = _ErrorStrip(episodes, end, (width, strip), self._font) if has_errors else None
+        room = width // len(episodes), height - strip
         self._painters = [
-            FramePainter(each.model, (width // len(episodes), room), gain=gain, overlays=False, shadow=False)
-            for each in episodes
-        ]
+            FramePainter(each.model, room, gain=gain, overlays=False, shadow=False) for each in episodes
+        ]  # fmt: skip
         points = np.concatenate([
             part for each in episodes for part in _extent(each, end, self._painters[0].gains)
         ])  # fmt: skip
         bases = np.concatenate([_outermost_bases(each, end) for each in episodes])
-        self._shots = [painter.shot(points, bases) for painter in self._painters]
+        top, bottom = self._font // 2 + 2 * self._line, self._line  # of names and errors, and of the scales
+        margins = np.array([MARGINS[0], MARGINS[1], top / room[1], bottom / room[1]])
+        self._shots = [painter.shot(points, bases, margins) for painter in self._painters]
 
     def paint(self, time: float) -> Picture:
         """Return the frame at a time (s)."""
@@ -127,7 +134,7 @@ class _Panels:
             bases = episode.base_positions
             target = episode.targets[row] + bases[row] if np.isfinite(episode.targets[row]).all() else None
             left = k * painter.size[0]
-            part = picture[self._head : self._head + painter.size[1], left : left + painter.size[0]]
+            part = picture[: painter.size[1], left : left + painter.size[0]]
             trail = episode.tips[: row + 1] + bases[: row + 1]
             part[:] = painter.paint(episode.states[row], target, trail=trail, shot=shot, base=bases[row])
             self._write_head(picture, k, float(episode.errors[row]))
@@ -148,19 +155,20 @@ class _Panels:
 
     def _write_note(self, picture: Picture) -> None:
         """Write the scales below the arms: that of the deflection in red, at the right."""
-        row, painter = self._head + self._painters[0].size[1], self._painters[0]
+        painter, row = self._painters[0], self._painters[0].size[1] - self._line
         magnified, scales = describe_frame(painter.gains, painter.scale, painter.grid)
         write_text(picture, scales, (self._font, row), self._font)
         if magnified:
-            write_text(picture, f"{magnified} (violet dot: true tip)", (-self._font, row), self._font, WARNING)
+            write_text(picture, magnified, (-self._font, row), self._font, WARNING)
 
 
 def _extent(episode: Episode, end: float, gains: tuple[float, float]) -> tuple[Array, Array]:
-    """Return points (p, 3) and targets (t, 3), m, of an episode up to a time (s) at given magnifications."""
+    """Return points (p, 3) and targets (t, 3), m, up to a time (s), magnified and of the rigid arm."""
     rows = np.unique(np.linspace(0, min(round(end / episode.period), len(episode.time) - 1), VIEW_STATES).astype(int))
-    bent, bases = curves(episode.model, episode.states[rows], LINK_POINTS, *gains), episode.base_positions[rows]
+    bases, states = episode.base_positions[rows], episode.states[rows]
+    drawn = np.stack([curves(episode.model, states, LINK_POINTS, *each).positions for each in (gains, (0.0, 0.0))])
     targets = episode.targets[rows] + bases
-    return (bent.positions + bases[:, None, None]).reshape(-1, 3), targets[np.isfinite(targets).all(axis=1)]
+    return (drawn + bases[:, None, None]).reshape(-1, 3), targets[np.isfinite(targets).all(axis=1)]
 
 
 def _outermost_bases(episode: Episode, end: float) -> Array:
@@ -179,13 +187,14 @@ class _ErrorStrip:
         episodes: the episodes.
         end: last time, s.
         size: width and height, pixels.
+        letters: height of the letters, pixels.
     """
 
-    def __init__(self, episodes: Sequence[Episode], end: float, size: tuple[int, int]) -> None:
+    def __init__(self, episodes: Sequence[Episode], end: float, size: tuple[int, int], letters: int) -> None:
         self._end = end
-        figure = new_figure((size[0] / DPI, size[1] / DPI), DPI)
-        font = 0.72 * font_size(round(size[1] / STRIP_SHARE))  # points; letters as high as those of the frames
-        left, bottom, right, top = 7.5 * font, 2.0 * font, 2.0 * font, 0.5 * font  # margins, pixels
+        figure = new_figure((size[0] / DPI, size[1] / DPI), DPI, facecolor=PAPER)
+        font = 72.0 / DPI * letters  # points
+        left, bottom, right, top = 5.0 * letters, 1.5 * letters, 2.0 * letters, 0.4 * letters  # margins, pixels
         width, height = size[0] - left - right, size[1] - bottom - top
         axes = figure.add_axes((left / size[0], bottom / size[1], width / size[0], height / size[1]))
         self._empty = _axes_picture(figure, axes, episodes, end, font)
@@ -207,10 +216,11 @@ def _axes_picture(figure: Any, axes: Any, episodes: Sequence[Episode], end: floa
     largest = max(float(np.nanmax(each.errors[each.time <= end])) for each in episodes)
     unit, factor = ("m", 1.0) if largest >= 1.0 else ("mm", 1e3)
     axes.set(xlim=(0.0, end), ylim=(-0.03 * largest, 1.05 * largest))
-    axes.xaxis.set_major_formatter(lambda value, _: f"{value:g} s")
+    axes.xaxis.set_major_formatter(lambda value, _: f"{value:g} s" if value else "")
     axes.yaxis.set_major_formatter(lambda value, _: f"{factor * value:g} {unit}" if value else "0")
     axes.yaxis.get_major_locator().set_params(nbins=3)
     axes.tick_params(labelsize=font, length=2.0, color=MIDDLE, labelcolor=DARK, pad=2.0)
+    axes.set_facecolor(PAPER)
     axes.grid(color=LIGHT, linewidth=0.6)
     axes.spines[["top", "right"]].set_visible(False)
     axes.spines[["left", "bottom"]].set_color(MIDDLE)

@@ -217,14 +217,16 @@ class FramePainter:
                 (memory, "f4"), ((*memory, 3), "u1"), ((*memory, 3), "u1"), (4, "i8"))))  # fmt: skip
         self._shown: _Shot | None = None
 
-    def shot(self, points: Array | None = None, bases: Array | None = None) -> _Shot:
+    def shot(self, points: Array | None = None, bases: Array | None = None, margins: Array | None = None) -> _Shot:
         """Return a camera whose picture contains points and the base, with the background.
 
         Args:
             points: points (p, 3) in the frame of the picture, m; None for the whole workspace.
             bases: positions of the base (k, 3) in the frame of the picture, m; None for its origin.
+            margins: margins (4,) at the left, right, top and bottom as fractions of the picture; None for those of the
+                overlay.
         """
-        camera, floor = self.camera(_reachable_points(self.model) if points is None else points, bases)
+        camera, floor = self.camera(_reachable_points(self.model) if points is None else points, bases, margins)
         canvas, (width, height) = self._canvas, self.size
         back, plain = np.zeros_like(canvas.back), np.zeros_like(canvas.plain)
         raster.draw_floor(back, camera.eye, camera.axes, camera.lens * SUPERSAMPLING, floor, self.reach, self.grid)
@@ -237,7 +239,7 @@ class FramePainter:
         raster.resolve(whole._replace(mask=np.zeros_like(canvas.mask)), np.zeros(3), 0.0)
         return _Shot(camera, floor, back, plain)
 
-    def camera(self, points: Array, bases: Array | None = None) -> tuple[_Camera, float]:
+    def camera(self, points: Array, bases: Array | None = None, margins: Array | None = None) -> tuple[_Camera, float]:
         """Return the camera for points (p, 3), m, and the z coordinate of the floor, m; see `shot`."""
         feet = np.zeros((1, 3)) if bases is None else bases
         places = np.concatenate([np.asarray(points, dtype=float).reshape(-1, 3), feet])
@@ -247,7 +249,8 @@ class FramePainter:
         plate = rim + np.array([0.0, 0.0, floor - BASE_HALF_HEIGHT * self.radii[0]])
         plate = np.concatenate([plate + foot * (1.0, 1.0, 0.0) for foot in feet])
         radii = np.repeat([self._largest_radius(), 0.0], [len(places), len(plate)])
-        margins = Caption.margins(self.size[1]) if self.overlays else MARGINS
+        if margins is None:
+            margins = Caption.margins(self.size[1]) if self.overlays else MARGINS
         return _fit_camera(np.concatenate([places, plate]), radii, self.direction, self.size, margins), floor
 
     def _largest_radius(self) -> float:

@@ -13,7 +13,7 @@ from flexman_gym.envs.tasks import TASKS, Slew
 from flexman_gym.evaluation.shares import intervals_text
 from flexman_gym.metrics import BAND, SETTLING_WINDOW, VIBRATION_WINDOW
 from studies.environments.family import ACTION_SECONDS, ARMS, FAMILIES, RECIPE
-from studies.environments.measure import DURATION, FINER, LONG, MOTIONS, SEEDS, SHAPED, Baseline, baselines_of
+from studies.environments.measure import DURATION, FINER, LONG, MOTIONS, SEEDS, SHAPED, SPEED, Baseline, baselines_of
 from studies.environments.rewards import ALTERNATIVE, PICTURE
 from studies.environments.text import (
     docstring_sections,
@@ -53,8 +53,11 @@ hide:
 {count} environments differ in the arm and in the task. Each is made by `gym.make(id)`;
 `gym.make_vec(id, 256, "vector_entry_point")` simulates 256 arms at once. In each picture the PD controller acts at
 the left and the tracking LQR at the right, on the same episode; the chart below shows the distance of the tip from its
-target. FlexGantry-v0 has no motor: the portal travels by the PD at the left and by the PD with input shaper at the
-right.
+target. The deflection of the links is magnified by the factor in the picture, a violet dot is the true tip, and the
+grey arm is the rigid one. The PD has the gains of the environment. The tracking LQR is the reference with full
+information, the true state and parameters; one rule gives its weights in all environments, so the PD of an environment
+can be better. FlexGantry-v0 has no motor: the portal travels by the PD at the left and by the PD with input shaper at
+the right.
 """
 
 REPLAY = """## An episode in the browser
@@ -76,7 +79,7 @@ def gallery_page(baselines: Sequence[Baseline]) -> str:
         others = [each for each in ("tracking LQR", SHAPED) if each in baselines_of(name)]
         seen = f"PD and {others[0]} on the same episode" if others else "PD"
         lines += [f"[![{name}: {seen}]({name}.gif)]({link})",
-                  f"[**{name}**]({link}): {_task(name)}", ""]  # fmt: skip
+                  f"[**{name}**]({link}): {_task(name)}{_caption(name, baselines)}", ""]  # fmt: skip
     lines += ["</div>", "", *_table(pages, baselines), "", *_definitions(baselines), "", *REPLAY.splitlines(), ""]
     lines += ["## Sensors", "", *_sensors(), "", "## Conditions", "", *_conditions(), ""]
     lines += ["## Settings for a first training", "", *_first_training(), "", "## Further settings", ""]
@@ -97,6 +100,22 @@ def tasks_page() -> str:
 
 def _task(name: str) -> str:
     return TASKS_TEXT[type(NAMED_ENVIRONMENTS[name].task).__name__]
+
+
+def _caption(name: str, baselines: Sequence[Baseline]) -> str:
+    """Return the end of a caption: speed of the picture, and results where the PD is better than the tracking LQR."""
+    speed = SPEED.get(name, 1.0)
+    times = f"{1.0 / speed:g} times slower" if speed < 1.0 else f"{speed:g} times faster"
+    text = f"; shown {times}" * (speed != 1.0)
+    found = {row.baseline: row for row in baselines if row.environment == name}
+    if "tracking LQR" not in found:
+        return text
+    pd, lqr = found["PD"], found["tracking LQR"]
+    if is_slew(name) and pd.settling_time < lqr.settling_time:
+        return f"{text}. The PD settles first, after {pd.settling_time:.3g} s, the LQR after {lqr.settling_time:.3g} s"
+    if not is_slew(name) and pd.rms_error < lqr.rms_error:
+        return f"{text}. The PD is closer: RMS error {length(pd.rms_error)}, LQR {length(lqr.rms_error)}"
+    return text
 
 
 def _table(pages: dict[str, str], baselines: Sequence[Baseline]) -> list[str]:

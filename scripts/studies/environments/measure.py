@@ -79,7 +79,10 @@ CONDITIONS = {  # environment with a hanging load -> conditions of its table
     "FlexGantry-v0": ("payload", "unknown", "short-rope", "long-rope"),
     "FlexCrane-v0": ("payload", "unknown"),
 }
-TRAVEL_VIDEO = 12.0, 4.0  # s, 1/s; motion and frames per second in the GIF of an environment whose foundation travels
+SPEED = {  # speed of the GIF of an environment relative to the motion; 1 for other environments
+    "FlexOne-v0": 0.5, "FlexPlanar-v0": 0.25, "FlexQuanser-v0": 0.25, "FlexRotary-v0": 0.2, "FlexGantry-v0": 2.4,
+    "FlexTwoMass-v0": 4.0,  # its disturbance begins after 14 s
+}  # fmt: skip
 
 
 def travels(name: str) -> bool:
@@ -96,7 +99,7 @@ def baselines_of(name: str) -> dict[str, str]:
 
 LONG, LONG_NAME = 30.0, "PD, episodes of 30 s"  # s; horizon in which the PD of FlexRRR-v0 settles; name of its row
 SEEDS = TEST_SEEDS
-SIZE, RATE, SECONDS, HOLD = (480, 360), 10.0, 5.0, 2.0  # pixels, 1/s, s, s
+SIZE, RATE, SECONDS, HOLD = (480, 360), 8.0, 5.0, 2.0  # pixels, 1/s, s, s
 LEAST = 0.01  # mm; smaller tip errors are drawn at this value of the logarithmic axis
 
 
@@ -186,8 +189,9 @@ def draw(runs: Mapping[str, Rollout], path: Path) -> None:
     shown = [baseline for baseline in ("PD", "tracking LQR", SHAPED) if baseline in runs][:2]
     pair = [runs[baseline].episode(0) for baseline in shown]
     travel = find_foundation(NAMED_ENVIRONMENTS[path.name].foundation) if travels(path.name) else None
-    seconds, rate, gain = (SECONDS, RATE, suggested_gain(pair)) if travel is None else (*TRAVEL_VIDEO, 1.0)
-    write_video(side_by_side(pair, SIZE, rate, seconds, HOLD, gain), path.with_suffix(".gif"), rate)
+    speed = SPEED.get(path.name, 1.0)
+    frames = side_by_side(pair, SIZE, RATE / speed, SECONDS * speed, HOLD * speed, suggested_gain(pair))
+    write_video(frames, path.with_suffix(".gif"), RATE)
     figure, ((left, right),) = new_chart((7.6, 2.7), columns=2)
     for baseline, colour in zip(("no torque", *shown), (SLATE, BLUE, RED), strict=False):
         episode = runs[baseline].episode(0)

@@ -14,7 +14,7 @@ from flexman_agents.settings import Settings, find_recipe
 from flexman_agents.training import train
 from flexman_gym.common.parallel import Workers, parallel_map
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
+from flexman_gym.envs.config.named_environments import DEFAULT_ID, NAMED_ENVIRONMENTS
 from flexman_gym.envs.vector_env import FlexManVectorEnv, compile_kernels
 from flexman_gym.evaluation.agent_spec import AgentSpec, split_interface
 from flexman_gym.evaluation.agents import find_agent
@@ -26,6 +26,7 @@ from flexman_gym.toolbox.view.learning_curves import draw_learning_curves, read_
 from studies.stopwatch import Stopwatch
 
 ABLATED = "ppo_on_pd_minute"
+PICTURE = f"learning_{DEFAULT_ID}.svg"
 SEEDS = {"ppo_on_pd_minute": 5, "ppo_on_pd": 5, "ppo_alone": 1, "sac_on_pd": 3, "planar_ppo_on_pd": 3,
          "lab_ppo_shaping": 3, "lab_student": 3, "ppo_shaping": 3, "track_ppo_on_pd": 1, "hold_ppo_on_pd": 1,
          "gravity_ppo_on_pd": 1, "planar_track_ppo_on_pd": 1, "planar_hold_ppo_on_pd": 1}  # fmt: skip
@@ -153,14 +154,11 @@ def adds_to_pd(name: str) -> bool:
     return bool(find_recipe(name).environment.base == "pd")
 
 
-def pictures(curves: Sequence[Point], folder: Path) -> list[Path]:
-    """Plot learning_ID.png for each environment, with the recipes that add to a PD and therefore share a reward."""
+def picture(curves: Sequence[Point], folder: Path) -> Path:
+    """Plot PICTURE: the recipes of DEFAULT_ID that add to a PD and therefore share a reward; return its path."""
     names = [name for name in SEEDS if any(point.name == name for point in curves) and adds_to_pd(name)]
-    result = []
-    for id in dict.fromkeys(environment(name) for name in names):
-        runs = {name: _seeds(curves, name) for name in names if environment(name) == id}
-        result.append(draw_learning_curves(runs, folder / f"learning_{id}.png", "reward of a training episode"))
-    return result
+    runs = {name: _seeds(curves, name) for name in names if environment(name) == DEFAULT_ID}
+    return draw_learning_curves(runs, folder / PICTURE, "reward of a training episode")
 
 
 def _seeds(curves: Sequence[Point], name: str) -> list[tuple[np.ndarray, np.ndarray]]:

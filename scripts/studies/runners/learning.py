@@ -14,7 +14,7 @@ from studies.learning.measure import (
     Point,
     cases,
     controllers,
-    pictures,
+    picture,
     points,
     run_folder,
     runs,
@@ -72,7 +72,7 @@ RUNNER = Study(
     tables=(Table(ROWS, LearningRow), Table(CURVES, Point)),
     measure=measure,
     pages={"results.md": lambda rows, _, files: page(rows, files["learning.csv"], Results(), compared())},
-    charts=lambda folder, _, curves: pictures(curves, folder / "evidence"),
+    charts=lambda folder, _, curves: [picture(curves, folder / "evidence")],
     options={
         "--only": {
             "nargs": "+",

@@ -194,6 +194,19 @@ def test_agents_are_chosen_among_those_with_the_same_information(tmp_path):
     ]
 
 
+def test_the_page_has_the_numbers_of_the_heat_map_as_a_table(tmp_path):
+    """Agents in the order of their information; settled episodes, %, and median settling time, s."""
+    times = {("lqr", NOMINAL): 1.0, ("pd", NOMINAL): np.inf}
+    table = page_text(standing(settled=times), tmp_path).partition('<div class="narrow" markdown>')[2].split("\n\n")[1]
+    rows = [[cell.strip(" `") for cell in line.split("|")[1:3]] for line in table.splitlines()]
+    assert rows[0] == ["agent", NOMINAL] and not {"zero", "random"} & {agent for agent, _ in rows}
+    found = dict(rows)
+    assert (found["pd"], found["lqr"], found["privileged-lqr"]) == ("0", "100, 1.00", "100, 3.00")
+    assert [agent for agent in found if agent in ("pd", "lqg", "lqr", "privileged-lqr")] == [
+        "pd", "lqg", "lqr", "privileged-lqr",
+    ]  # fmt: skip
+
+
 def test_every_agent_has_a_kind_of_information():
     kinds = {agent: describe_agent(agent).kind for agent in AGENTS if agent not in SIMPLE_AGENTS}
     assert set(kinds.values()) == set(INFORMATION)
@@ -208,9 +221,9 @@ def test_the_charts_are_there(tmp_path):
     pytest.importorskip("matplotlib")
     known = book(scenarios=(NOMINAL, "FlexRRR-Track-v0", "FlexRRR-v0/delay=0", "FlexRRR-v0/delay=1"))
     write_page(known, tmp_path)
-    assert {path.name for path in tmp_path.glob("*.png")} == {CHART, SWEEP_CHART}
+    assert {path.name for path in tmp_path.glob("*.svg")} == {CHART, SWEEP_CHART}
     text = (tmp_path / PAGE).read_text()
-    assert all(f"]({path.name})" in text for path in tmp_path.glob("*.png"))
+    assert all(f"]({path.name})" in text for path in tmp_path.glob("*.svg"))
 
 
 def test_lines_of_sweeps_are_told_apart_on_white():

@@ -8,11 +8,11 @@ import pytest
 import flexman_gym as fm
 from flexman_gym.common.plot_style import BLUE, RED, rgb
 from flexman_gym.simulation.episode import Episode
-from flexman_gym.toolbox.view.comparison import side_by_side
+from flexman_gym.toolbox.view.comparison import MAX_GAIN, VISIBLE_SAG, side_by_side, suggested_gain
 
 pytest.importorskip("matplotlib")
 ROWS, SIZE = 101, (480, 360)
-HEAD, STRIP = 34, 360 - 86  # rows; end of the names, start of the chart
+HEAD, STRIP, LINE = 61, 360 - 94, 26  # rows; end of the names, start of the chart, line of text
 
 
 def episode(name, bend=0.02):
@@ -58,15 +58,34 @@ def test_the_last_frame_is_held_and_the_others_move(frames):
 def test_a_gain_bends_the_drawn_links_says_so_and_keeps_the_arm_in_the_picture():
     arms = [episode("one")]
     plain, large = (side_by_side(arms, SIZE, rate=5.0, gain=gain) for gain in (1.0, 20.0))
-    note = np.s_[STRIP - 15 : STRIP, 240:]
+    note = np.s_[STRIP - LINE : STRIP, 240:]
     reddish = [
         ((frames[0][note][..., 0].astype(int) - frames[0][note][..., 1]) > 60).any() for frames in (plain, large)
     ]
     assert reddish == [False, True]
     for frame in large:
-        room = frame[HEAD + 2 : STRIP - 17].astype(int)
+        room = frame[HEAD + 2 : STRIP - LINE].astype(int)
         dark = np.nonzero(room.max(axis=2) < 70)
         assert all(each.min() > 3 and each.max() < size - 3 for each, size in zip(dark, room.shape, strict=False))
+
+
+def test_no_band_of_the_picture_is_white(frames):
+    """The arms have the whole picture above the chart, and the chart has the colour of the floor."""
+    white = (frames[5] == 255).all(axis=2).mean(axis=1)
+    assert white[: STRIP // 2].max() < 0.6 and white[STRIP // 2 :].max() < 0.05
+
+
+def test_the_suggested_gain_makes_the_largest_sag_of_a_link_visible():
+    """The sag drawn is at most VISIBLE_SAG of the length, and would be more with the next of the gains 1, 2, 5, 10."""
+    for bend in (0.1, 2.0):
+        one = episode("one", bend)
+        points = fm.curves(one.model, one.states, 9).positions
+        chord = points[:, :, -1] - points[:, :, 0]
+        across = np.linalg.norm(np.cross(points - points[:, :, :1], chord[:, :, None]), axis=-1)
+        sag = (across / np.linalg.norm(chord, axis=-1)[..., None] / one.model.constants.length[:, None]).max()
+        gain = suggested_gain([one, episode("still", 0.0)])
+        assert gain < MAX_GAIN and gain * sag <= VISIBLE_SAG < 2.5 * gain * sag
+    assert suggested_gain([episode("still", 0.0)]) == MAX_GAIN
 
 
 def test_episodes_without_targets_have_no_chart():
