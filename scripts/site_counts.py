@@ -95,7 +95,8 @@ def main() -> None:
     print(f"{sum(map(len, tabs.values()))} pages; {share(tabs):.0%} of the words are in {', '.join(TEACHING)}")
     if site:
         entries = search_entries(site)
-        print(f"API: {api_words(site):,} words, {sum(each.startswith('api/') for each in entries)} of {len(entries)} entries")
+        api = sum(each.startswith("api/") for each in entries)
+        print(f"API: {api_words(site):,} words, {api} of {len(entries)} entries of the search")
 
 
 if __name__ == "__main__":

@@ -50,7 +50,7 @@ hide:
 # Environments
 
 {count} environments differ in the arm and in the task. Each is made by `gym.make(id)`;
-`gym.make_vec(id, 256, "vector_entry_point")` simulates 256 arms at once. In each picture the PD controller acts at
+`gym.make_vec(id, 256)` simulates 256 arms at once. In each picture the PD controller acts at
 the left and the tracking LQR at the right, on the same episode; the chart below shows the distance of the tip from its
 target. FlexGantry-v0 has no motor: the portal travels by the PD at the left and by the PD with input shaper at the
 right.
