@@ -23,7 +23,7 @@ def make() -> GymWrapper:
         "sensors": ("full", "fine"),
         "task": {"kind": "slew", "reward": "distance"},
     }
-    return GymWrapper(gym.make_vec("FlexRRR-v0", ARMS, "vector_entry_point", autoreset_mode="Disabled", **settings))
+    return GymWrapper(gym.make_vec("FlexRRR-v0", ARMS, autoreset_mode="Disabled", **settings))
 
 
 def actor(env: GymWrapper) -> ProbabilisticActor:

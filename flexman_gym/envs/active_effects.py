@@ -10,7 +10,8 @@ from flexman_gym.common.arrays import Array, BoolArray, IntArray
 from flexman_gym.common.checks import check_member_names
 from flexman_gym.common.errors import value_error
 from flexman_gym.envs.config.randomisation import Randomisation
-from flexman_gym.envs.effects import HOOKS, SIGNALS, EffectContext
+from flexman_gym.envs.effects import SIGNALS, EffectContext
+from flexman_gym.envs.effects.effect import HOOKS
 from flexman_gym.envs.random_streams import RandomStreams
 from flexman_gym.model.model import Model
 from flexman_gym.simulation.physical_parameters import LINK, PARAMETERS

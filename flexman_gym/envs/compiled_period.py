@@ -8,8 +8,9 @@ from flexman_gym.agent.action_modes import TorqueMode
 from flexman_gym.agent.agent import Agent
 from flexman_gym.common.arrays import Array, BoolArray, IntArray
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.envs.sensors import FullState, SensorArray
+from flexman_gym.envs.sensors import FullState
 from flexman_gym.envs.sensors.ideal import NEARNESS_LENGTH
+from flexman_gym.envs.sensors.sensor_array import SensorArray
 from flexman_gym.envs.tasks import Hold, Slew
 from flexman_gym.envs.tasks.rewards import REWARDS
 from flexman_gym.envs.view import Number, View

@@ -24,8 +24,9 @@ from flexman_gym.envs.effects import EffectContext
 from flexman_gym.envs.measurements import Measurements
 from flexman_gym.envs.motors import Motors
 from flexman_gym.envs.period import advance
-from flexman_gym.envs.sensors import SensorArray, find_sensors, measured_names
+from flexman_gym.envs.sensors import find_sensors
 from flexman_gym.envs.sensors.sensor import MeasuredView
+from flexman_gym.envs.sensors.sensor_array import SensorArray, measured_names
 from flexman_gym.envs.tasks import Task
 from flexman_gym.envs.tasks.rewards import make_reward_terms
 from flexman_gym.envs.view import Number, View

@@ -10,8 +10,8 @@ import numpy as np
 from flexman_gym.common.arrays import Array, IntArray
 from flexman_gym.envs.active_effects import ActiveEffects
 from flexman_gym.envs.limits import Limits
-from flexman_gym.envs.sensors import SensorArray, measured_names
 from flexman_gym.envs.sensors.sensor import MeasuredView
+from flexman_gym.envs.sensors.sensor_array import SensorArray, measured_names
 from flexman_gym.envs.view import View
 
 

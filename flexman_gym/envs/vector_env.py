@@ -33,7 +33,7 @@ INDEXED_ATTRIBUTES = ("render", "np_random", "np_random_seed")  # members with a
 
 
 class FlexManVectorEnv(StatefulEnv, VectorEnv[Observations, Array, Any]):
-    """Vectorised `FlexManEnv`: `gym.make_vec("FlexRRR-v0", num_envs=64, vectorization_mode="vector_entry_point")`.
+    """Vectorised `FlexManEnv`: `gym.make_vec("FlexRRR-v0", num_envs=64)`.
 
     Each of the b = `num_envs` arms is one sub-environment. Observations, rewards, terminations, truncations and infos
     equal the results of `gymnasium.vector.SyncVectorEnv` over single environments, bit for bit, with a leading axis for

@@ -7,7 +7,6 @@ from pathlib import Path
 
 from studies.files import split_made, split_waiting
 
-HIDDEN = "---\nsearch:\n  exclude: true\n---\n\n"  # front matter that keeps a page out of the search
 PAGE = """# {title}
 
 {question}
@@ -24,8 +23,13 @@ Each page answers one question on one screen: a chart or a table, the sentence t
 computed the rows, and a link to the rows. `make evidence` lists the rows that are older than the code they describe.
 Numbers that are known to have changed since are marked *waiting for new rows*, here and on every other page.
 
-{items}
+{leading}
+
+Further pages:
+
+{others}
 """
+LEADING = ("verification", "machine", "work_precision", "safety", "control", "papers")  # pages with their answer
 MARK = "(waiting for new rows)"  # after a number on another page whose rows are no longer current
 WIDTH, PICTURE_WIDTH = 120, 640  # characters of a line; pixels
 
@@ -49,7 +53,7 @@ def screen(title: str, question: str, answer: str, body: str, rows: Mapping[str,
     answer = "\n\n".join([answer, *map(WAIT.format, reasons)])
     text = PAGE.format(title=title, question=question, answer=answer, body=body.strip("\n"), rows=links,
                        computer=computer, study=study)  # fmt: skip
-    return HIDDEN + "\n\n".join(map(_wrapped, text.split("\n\n"))) + "\n"
+    return "\n\n".join(map(_wrapped, text.split("\n\n"))) + "\n"
 
 
 def _wrapped(block: str) -> str:
@@ -69,15 +73,24 @@ def picture(description: str, file: str) -> str:
 
 
 def index(pages: Iterable[Path]) -> str:
-    """Return the index of pages as Markdown: the title and the first bold sentence, or the first sentence, of each."""
-    return INDEX.format(items="\n".join(_item(path) for path in pages))
+    """Return the index of pages as Markdown.
+
+    The pages `LEADING` come first, with their first bold sentence, or their first sentence; others have their title.
+    """
+    found = {path.stem: path for path in pages}
+    leading = [_item(found[name], answer=True) for name in LEADING if name in found]
+    others = [_item(path, answer=False) for name, path in found.items() if name not in LEADING]
+    return INDEX.format(leading="\n".join(leading), others="\n".join(others))
 
 
-def _item(path: Path) -> str:
-    text = path.read_text(encoding="utf-8").removeprefix(HIDDEN)
+def _item(path: Path, answer: bool) -> str:
+    """Return the line of a page: link, the answer on request, and the mark of rows that are no longer current."""
+    text = path.read_text(encoding="utf-8")
     title, *paragraphs = text.split("\n\n")
+    link = f"[{title.removeprefix('# ').strip()}]({path.name})"
+    mark = f" {MARK}" * (WAIT.partition("{")[0] in " ".join(text.split()))
+    if not answer:
+        return f"- {link}{mark}"
     bold = re.search(r"\*\*(.+?)\*\*", text, re.DOTALL)
     sentence = bold[1] if bold else re.split(r"(?<=\.)\s", paragraphs[0], maxsplit=1)[0]
-    if WAIT.partition("{")[0] in " ".join(text.split()):
-        sentence = f"{sentence.removesuffix('.')} {MARK}."
-    return _wrapped(f"- [{title.removeprefix('# ').strip()}]({path.name}): {sentence}")
+    return _wrapped(f"- {link}: {sentence.removesuffix('.')}{mark}.")

@@ -2,6 +2,7 @@
 
 import base64
 import io
+import re
 import shutil
 import subprocess
 import sys
@@ -47,7 +48,7 @@ browser = pytest.fixture(one_browser, scope="module")
 
 
 def test_pages_ask_nobody_and_their_equations_are_drawn(browser, site):
-    for page, least in (("index", 0), ("theory", 40), ("integration", 10), ("api/simulation", 1)):
+    for page, least in (("index", 0), ("theory", 40), ("integration", 10), ("api/model", 1)):
         browser.open(f"file://{site / page}.html", "document.readyState === 'complete'")
         browser.wait("document.querySelectorAll('.arithmatex:not(:has(.katex))').length === 0")
         assert browser.run("return document.querySelectorAll('.katex').length") >= least
@@ -78,16 +79,51 @@ WANTED = {  # words -> pages, of which one is among the first two hits
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("words", WANTED)
-def test_the_search_finds_the_page_among_the_first_two_hits(words, browser, site):
+def search(browser, site, words):
+    """Type words into the search of the home page."""
     browser.open(f"file://{site / 'index.html'}", "document.querySelector('.md-search__button')")
     browser.run("document.querySelector('.md-search__button').click()")
     browser.wait(f"{INSIDE % 'input'}.length === 1")
     browser.write(words)
+
+
+@pytest.mark.parametrize("words", WANTED)
+def test_the_search_finds_the_page_among_the_first_two_hits(words, browser, site):
+    search(browser, site, words)
     first = f"{INSIDE % 'a'}.slice(0, 2).map(each => each.href.replace(/[?][^#]*/, ''))"
     found = " || ".join(f"each.endsWith('/{page}')" for page in WANTED[words])
     browser.wait(f"{first}.some(each => {found})", 20)
     assert browser.run(AWAY) == [] and browser.said() == []
+
+
+@pytest.mark.parametrize("words", ["wandb", "kubernetes", "kubernetes zebra", "kubernetes stiffness"])
+def test_the_search_finds_nothing_for_words_that_no_page_has(words, browser, site):
+    search(browser, site, words)
+    browser.wait(f"{INSIDE % '[role=status]'}.some(each => each.textContent === 'No results')", 20)
+    assert browser.run(f"return {INSIDE % '[role=option]'}.length") == 0 and browser.said() == []
+
+
+@pytest.mark.parametrize("words", ["randomization", "vibraton", "stifness"])
+def test_the_search_finds_words_with_one_wrong_letter(words, browser, site):
+    search(browser, site, words)
+    browser.wait(f"{INSIDE % '[role=option]'}.length > 0", 20)
+
+
+def test_the_search_has_one_entry_for_each_public_name(site):
+    entries = [each.partition("#")[2] for each in site_counts.search_entries(site) if each.startswith("api/")]
+    names = [entry for page in (ROOT / "docs" / "api").glob("*.md")
+             for entry in re.findall(r"^::: (\S+)", page.read_text(encoding="utf-8"), re.MULTILINE)]  # fmt: skip
+    assert sorted(each for each in entries if each.startswith("flexman_")) == sorted(names)
+    assert len(entries) < 1.3 * len(names) and site_counts.api_words(site) < 37_000
+
+
+def test_pages_of_evidence_have_a_tab_and_their_neighbours(browser, site):
+    browser.open(f"file://{site / 'evidence/peers.html'}", "document.readyState === 'complete'")
+    active = "return [...document.querySelectorAll('.md-tabs__item--active')].map(each => each.innerText.trim())"
+    assert browser.run(active) == ["Evidence"]
+    links = "return [...document.querySelectorAll('%s')].map(each => each.getAttribute('href'))"
+    assert browser.run(links % ".md-footer__link") == ["./work_precision.html", "./accuracy.html"]
+    assert {"./verification.html", "./faults.html"} <= set(browser.run(links % ".md-nav--primary a"))
 
 
 def test_no_page_to_read_is_longer_than_eight_screens(browser, site):
@@ -118,6 +154,20 @@ def test_a_wide_table_scrolls_beside_its_first_column(browser, site):
     """
     wider, first, others = browser.run(moved)
     assert wider and first < 40 < others and browser.said() == []
+
+
+@pytest.mark.parametrize("width", [390, 1280])
+def test_names_in_tables_are_not_broken_within_a_word(width, browser, site):
+    browser.size(width, 844)
+    for page in ("results", "league/league", "control_room", "environments/keywords", "evidence/control"):
+        browser.open(f"file://{site / page}.html", "document.readyState === 'complete'")
+        broken = """
+            return [...document.querySelectorAll('td code')]
+                .filter(each => each.getClientRects().length > each.textContent.trim().split(/[\\s-]+/).length)
+                .map(each => each.textContent);
+        """
+        assert browser.run("return document.querySelectorAll('td code').length") > 5 and browser.run(broken) == []
+    browser.size(1280, 720)
 
 
 def test_the_experiment_works_on_a_phone_and_with_keys(browser, site):

@@ -25,7 +25,9 @@ LINK = re.compile(r"\]\(([^)\s]+)\)")
 ENTRY = re.compile(r"^::: (\S+)", re.MULTILINE)
 EQUATION = re.compile(r"\$\$(.*?)\$\$|(?<![\\$\w])\$([^\s$][^$]*?)\$(?![\d$])", re.DOTALL)
 ENTRIES = [entry for text in PAGES.values() for entry in ENTRY.findall(text)]
-ROOMS = {f"flexman_agents.{path.stem}" for path in (ROOT / "agents").glob("[!_]*.py")}  # each an entry as a whole
+MEMBERS = re.compile(r"^::: (\S+)\n    options:\n(?:      .*\n)*?      members: \[(.*)\]$", re.MULTILINE)
+MODULES = {f"flexman_agents.{path.stem}" for path in (ROOT / "agents").glob("[!_]*.py")}
+NAMED_DIFFERENTLY = {"envs": "environments", "common": "agent"}  # folder -> page
 PUBLIC = (
     "control",
     "draw",
@@ -73,8 +75,7 @@ def test_every_page_has_its_place():
     settings = yaml.safe_load((ROOT / "mkdocs.yml").read_text(encoding="utf-8"))
     shown, there = pages(settings["nav"]), {page[5:] for page in PAGES if page.startswith("docs/")}
     assert len(shown) == len(set(shown)) and set(shown) <= there
-    hidden = "---\nsearch:\n  exclude: true\n---\n"
-    assert {page for page in there - set(shown) if not PAGES[f"docs/{page}"].startswith(hidden)} == set()
+    assert there - set(shown) == set() and not any("exclude: true" in PAGES[f"docs/{page}"] for page in there)
     assert settings["extra"]["release"] == fm.__version__
     local = settings["extra_css"] + settings["extra_javascript"] + settings["extra"]["polyfills"]
     local += [settings["theme"]["logo"], settings["theme"]["favicon"]]
@@ -165,14 +166,37 @@ def test_names_that_pages_mention_are_there():
 
 
 def test_every_public_name_has_one_entry():
-    said = Counter(key(found(entry), entry.rpartition(".")[2]) for entry in ENTRIES if entry not in ROOMS)
+    said = Counter(key(found(entry), entry.rpartition(".")[2]) for entry in ENTRIES)
     packages = [fm, *(importlib.import_module(f"flexman_gym.{name}") for name in PUBLIC)]
     names = {(name, id(package)): getattr(package, name) for package in packages for name in package.__all__}
     wanted = {key(value, name) for (name, _), value in names.items()
               if not isinstance(value, types.ModuleType) and name != "__version__"}  # fmt: skip
     assert wanted - said.keys() == set()
     assert {name: count for name, count in said.items() if count > 1} == {}
-    assert set(ENTRIES) >= ROOMS
+    assert {entry.rpartition(".")[0] for entry in ENTRIES} >= MODULES
+
+
+def test_an_entry_is_on_the_page_of_its_folder():
+    """Functions and classes know their module; constants do not."""
+    wrong = {}
+    for page, text in PAGES.items():
+        for entry in ENTRY.findall(text):
+            value = found(entry)
+            if not isinstance(value, type | types.FunctionType):
+                continue
+            package, folder, room, *_ = [*value.__module__.split("."), ""]
+            folder = "agents" if package == "flexman_agents" else room if folder == "toolbox" else folder
+            if page != f"docs/api/{NAMED_DIFFERENTLY.get(folder, folder)}.md":
+                wrong[entry] = page
+    assert wrong == {}
+
+
+def test_members_of_entries_are_there_with_their_docstrings():
+    """A misspelt member would be left out without a message."""
+    named = [(found(entry), names.split(", ")) for text in PAGES.values() for entry, names in MEMBERS.findall(text)]
+    assert len(named) >= 40
+    for owner, names in named:
+        assert [name for name in names if not getattr(getattr(owner, name, None), "__doc__", None)] == [], owner
 
 
 @pytest.mark.slow
@@ -185,7 +209,7 @@ def test_entries_are_read_as_python_reads_them(tmp_path, caplog):
     for entry in ENTRIES:
         read = loader.modules_collection[entry]
         read = read.final_target if read.is_alias else read
-        assert (read.kind.value == "module") == (entry in ROOMS) and read.docstring, entry
+        assert read.kind.value != "module" and read.docstring, entry
         assert read.name == entry.rpartition(".")[2]
     with caplog.at_level("WARNING", "griffe"):
         while left:

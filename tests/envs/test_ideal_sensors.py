@@ -10,7 +10,8 @@ from scipy.spatial.transform import Rotation
 import flexman_gym as fm
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.envs.env import FlexManEnv
-from flexman_gym.envs.sensors import FullState, SensorArray
+from flexman_gym.envs.sensors import FullState
+from flexman_gym.envs.sensors.sensor_array import SensorArray
 from flexman_gym.envs.view import View
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.simulator import Simulator

@@ -28,10 +28,12 @@ def test_a_page_whose_rows_wait_for_new_ones_is_marked_below_its_answer_and_in_t
     texts = {"new": page(COMPUTER), "old": page(f"{COMPUTER}; {WAITING}{REASON}")}
     assert texts["old"].replace(f"*Waiting for new rows: {REASON}.*\n\n", "") == texts["new"]
     assert f"**Answer of 3 mm.**\n\n*Waiting for new rows: {REASON}.*\n\nBody" in texts["old"]
-    for name, text in texts.items():
-        (tmp_path / f"{name}.md").write_text(text, encoding="utf-8")
-    items = dict(re.findall(r"\]\((\w+)\.md\): (.*)$", index(sorted(tmp_path.glob("*.md"))), re.MULTILINE))
-    assert items == {"new": "Answer of 3 mm.", "old": f"Answer of 3 mm {MARK}."}
+    for name, state in {"safety": "new", "machine": "old", "servos": "new", "starts": "old"}.items():
+        (tmp_path / f"{name}.md").write_text(texts[state], encoding="utf-8")
+    items = dict(re.findall(r"\]\((\w+)\.md\)(.*)$", index(sorted(tmp_path.glob("*.md"))), re.MULTILINE))
+    assert items == {
+        "machine": f": Answer of 3 mm {MARK}.", "safety": ": Answer of 3 mm.", "servos": "", "starts": f" {MARK}",
+    }  # fmt: skip
 
 
 def test_a_page_has_the_date_of_its_rows_once():

@@ -20,7 +20,6 @@ from flexman_gym.envs.sensors.ideal import (
 )
 from flexman_gym.envs.sensors.instrument import Instrument
 from flexman_gym.envs.sensors.sensor import Entry, Sensor
-from flexman_gym.envs.sensors.sensor_array import SensorArray, measured_names
 from flexman_gym.model.linearization import LINEAR_SENSORS, LINK_SENSOR
 
 SENSORS: Registry[Callable[[], Sensor]] = Registry(
@@ -110,7 +109,6 @@ def _plain(part: object) -> Any:
 __all__ = [
     "FLAWS",
     "SENSORS",
-    "SENSOR_NAMES",
     "SENSOR_SETS",
     "Entry",
     "FineScale",
@@ -123,9 +121,5 @@ __all__ = [
     "ModelState",
     "Quantities",
     "Sensor",
-    "SensorArray",
     "ServoErrors",
-    "find_sensors",
-    "measured_names",
-    "plain_sensors",
 ]

@@ -74,4 +74,4 @@ def plain_task(task: Any) -> dict[str, Any]:
     raise value_error("task", task, "a task with a name; a file cannot hold an object of the user")
 
 
-__all__ = ["TASKS", "Goal", "Hold", "Slew", "Task", "Track", "find_task", "plain_task"]
+__all__ = ["TASKS", "Goal", "Hold", "Slew", "Task", "Track"]

@@ -30,10 +30,10 @@ from flexman_gym.envs.sensors import (
     Quantities,
     ServoErrors,
     find_sensors,
-    measured_names,
 )
 from flexman_gym.envs.sensors.ideal import NEARNESS_LENGTH
 from flexman_gym.envs.sensors.sensor import MeasuredView
+from flexman_gym.envs.sensors.sensor_array import measured_names
 from flexman_gym.envs.tasks import Hold, Slew, Track
 from flexman_gym.envs.tasks.rewards import REWARDS
 from flexman_gym.envs.view import View

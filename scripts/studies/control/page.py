@@ -13,7 +13,6 @@ from flexman_gym.metrics import mean, stratified_interval
 from studies.control.cases import EXTREMES, PARTS, RANDOM_ARMS, RRR, ControlRow
 from studies.markdown import bullets
 from studies.results import Results
-from studies.screen import HIDDEN
 
 PAGE = """# Controllers of arms with uncertain parameters
 
@@ -80,7 +79,7 @@ def page(rows: Sequence[ControlRow], results: Results) -> str:
     few = [row for case, row in by_case.items() if any(word in case for word in FEWER[:2])]
     table = [[arms, *(_cell(_find(by_case, agent, end)) for agent in AGENTS)] for arms, end in ARMS.items()]
     ours = {case.removeprefix(OURS): row for case, row in by_case.items() if case.startswith(OURS)}
-    return HIDDEN + PAGE.format(
+    return PAGE.format(
         opening=fill(_opening(by_case), WIDTH),
         caption=fill(CAPTION.format(episodes=episodes, intervals=_intervals(by_case.values())), WIDTH),
         well=100.0 * WELL,

@@ -345,7 +345,7 @@ def _first_training(name: str, code: bool) -> list[str]:
     if is_slew(name):
         settings["task"] = {"kind": "slew", "reward": TRAINED_REWARD, **_drawn(named.task)}
     words = "".join(f"    {key}={value!r},\n" for key, value in settings.items()).replace("'", '"').splitlines()
-    made = [f'arms = gym.make_vec("{name}", {ARMS}, "vector_entry_point", autoreset_mode="SameStep",', *words, ")"]
+    made = [f'arms = gym.make_vec("{name}", {ARMS}, autoreset_mode="SameStep",', *words, ")"]
     known = f"the recipe `{recipe}` has them" if recipe else "there is no recipe for this environment"
     text = "[Settings](index.md#settings-for-a-first-training) for a first training"
     if not code:

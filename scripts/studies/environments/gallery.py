@@ -51,7 +51,7 @@ hide:
 # Environments
 
 {count} environments differ in the arm and in the task. Each is made by `gym.make(id)`;
-`gym.make_vec(id, 256, "vector_entry_point")` simulates 256 arms at once. In each picture the PD controller acts at
+`gym.make_vec(id, 256)` simulates 256 arms at once. In each picture the PD controller acts at
 the left and the tracking LQR at the right, on the same episode; the chart below shows the distance of the tip from its
 target. The deflection of the links is magnified by the factor in the picture, a violet dot is the true tip, and the
 grey arm is the rigid one. The PD has the gains of the environment. The tracking LQR is the reference with full

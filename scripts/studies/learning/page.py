@@ -18,7 +18,7 @@ from flexman_gym.evaluation.policy_files import POLICIES, policy_folder, read_po
 from flexman_gym.evaluation.rollouts import TEST_SEEDS
 from flexman_gym.evaluation.shares import intervals_text
 from flexman_gym.toolbox.league import certificate
-from flexman_gym.toolbox.league.certificate_file import exceeded_limits, read_certificate
+from flexman_gym.toolbox.league.certificate_file import read_certificate
 from flexman_gym.toolbox.league.scenarios import change_name
 from studies.environments.measure import Baseline
 from studies.files import split_waiting
@@ -43,6 +43,10 @@ from studies.markdown import bullets
 from studies.results import Results
 
 TEMPLATE = Path(__file__).parent / "results.md"  # string.Template
+CHANGE_NAMES = {  # end of the name of a scenario -> row of the table of policies
+    "@finer": "finer model", "@mujoco": "arm in MuJoCo", "payload": "payload, kg", "stiffness": "stiffness, factor",
+    "friction=1": "friction", "seeds": "further episodes",
+}  # fmt: skip
 REACH = 8.5  # m; reach for which the page gives the limits of vibration
 SLEWS = {  # environment -> controllers without learning, recipes
     "FlexRRR-v0": (("pd", "lqr", "lqr-tracking"),
@@ -81,7 +85,8 @@ def page(rows: Sequence[LearningRow], computer: str, results: Results, compared:
         vibration=f"{1e3 * certificate.MAX_VIBRATION * REACH:.3g}",
         increase=f"{1e3 * certificate.MAX_VIBRATION_INCREASE * REACH:.3g}",
         draws=certificate.SEARCH_EPISODES,
-        policies=_body(5, map(_policy, POLICIES)),
+        names=" | ".join(f"`{name}`" for name in POLICIES),
+        policies=_body(1 + len(POLICIES), _policies()),
         counts=_counts(),
         waiting=_waiting(),
         ablated=ABLATED,
@@ -224,22 +229,35 @@ def _moving(rows: Sequence[LearningRow]) -> list[tuple[str, ...]]:
     return lines
 
 
-def _policy(name: str) -> tuple[str, ...]:
-    """Return the row of a shipped policy: its changes within and beyond the limits."""
-    folder, result = policy_folder(name), _certificate(name)
-    assert folder is not None
-    about = read_policy(folder).metadata
-    first = result["rows"][0]["seeds"]
-    beyond = exceeded_limits(name)
-    within = [
-        change_name(row["scenario"]) if row["seeds"][0] == first[0] or "@" in row["scenario"] else "seeds"
-        for row in result["rows"][1:]
-        if not row["fails"] and certificate.is_counted(row["scenario"])
-    ]
+def _policies() -> list[tuple[str, ...]]:
+    """Return the rows of the table of shipped policies: recipe, environment, and the outcome of each change."""
+    about = [read_policy(_folder(name)).metadata for name in POLICIES]
+    outcomes = [_outcomes(name) for name in POLICIES]
+    changes = dict.fromkeys(change for each in outcomes for change in each)
+    return [
+        ("recipe", *(f"`{each['recipe']['name']}`" for each in about)),
+        ("environment", *(f"`{each['league']['environment']}`" for each in about)),
+        *((CHANGE_NAMES.get(change, change.replace("=", " ")), *(each.get(change, "-") for each in outcomes))
+          for change in changes),
+    ]  # fmt: skip
+
+
+def _outcomes(name: str) -> dict[str, str]:
+    """Return change -> "yes" within the limits, otherwise the first value beyond a limit; ranges stand before it."""
+    first, *changed = _certificate(name)["rows"]
     limit = f" (limit {certificate.MIN_SETTLED:.0%})"  # the same for all
-    exceeded = "; ".join(f"`{change}`: {reasons.partition(', ')[0].removesuffix(limit)}" for change, reasons in beyond)
-    where = about["league"]["environment"]
-    return f"`{name}`", f"`{about['recipe']['name']}`", f"`{where}`", _grouped(within), exceeded or "-"
+    outcomes = {}
+    for row in changed:
+        if not certificate.is_counted(row["scenario"]):
+            continue
+        same_seeds = row["seeds"][0] == first["seeds"][0] or "@" in row["scenario"]
+        change = change_name(row["scenario"]) if same_seeds else "seeds"
+        parameter, _, value = change.partition("=")
+        outcome = str(row["fails"]).partition(", ")[0].removesuffix(limit) if row["fails"] else "yes"
+        if ":" in value:
+            change, outcome = parameter, f"{value.replace(':', ' to ')}: {outcome}"
+        outcomes[change] = outcome
+    return outcomes
 
 
 def _counts() -> str:
@@ -248,7 +266,7 @@ def _counts() -> str:
     for name in POLICIES:
         for row in _certificate(name)["rows"]:
             plant = row["scenario"].partition("@")[2]
-            counts.setdefault(row["seeds"][1] - row["seeds"][0], set()).add(f"`@{plant}`" if plant else "")
+            counts.setdefault(row["seeds"][1] - row["seeds"][0], set()).add(CHANGE_NAMES.get(f"@{plant}", ""))
     few = {count: plants for count, plants in counts.items() if "" not in plants}
     usual = min(count for count in counts if count not in few)
     exceptions = "; ".join(f"{', '.join(sorted(plants))} {count}" for count, plants in sorted(few.items()))
@@ -262,21 +280,18 @@ def _waiting() -> str:
     return "".join(fill(each, 118, replace_whitespace=False) + "\n\n" for each in reasons)
 
 
-def _certificate(name: str) -> dict[str, Any]:
+def _folder(name: str) -> Path:
+    """Return the folder of a shipped policy."""
     folder = policy_folder(name)
-    result = read_certificate(folder) if folder else None
+    assert folder is not None
+    return folder
+
+
+def _certificate(name: str) -> dict[str, Any]:
+    """Return the certificate of a shipped policy."""
+    result = read_certificate(_folder(name))
     assert result is not None
     return result
-
-
-def _grouped(changes: Sequence[str]) -> str:
-    """Return changes as text, with the values of a parameter in one place: `delay=0`, `1`, `2`."""
-    last, words = "", []
-    for change in changes:
-        name, equals, value = change.partition("=")
-        words.append(f"`{value}`" if equals and name == last else f"`{change}`")
-        last = name
-    return ", ".join(words)
 
 
 def _ablations(rows: Sequence[LearningRow]) -> list[str]:

@@ -20,8 +20,9 @@ from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.envs.config.plant import make_plant
 from flexman_gym.envs.env import MAX_SEED
 from flexman_gym.envs.episodes import Episodes
-from flexman_gym.envs.sensors import ModelState, find_sensors, measured_names
+from flexman_gym.envs.sensors import ModelState, find_sensors
 from flexman_gym.envs.sensors.sensor import measurement_ranges
+from flexman_gym.envs.sensors.sensor_array import measured_names
 from flexman_gym.envs.view import View
 from flexman_gym.evaluation.agent_spec import AgentSpec, split_interface
 from flexman_gym.evaluation.agents import find_agent
