@@ -256,7 +256,7 @@ SENTENCES = (  # with numbers of stored rows
     Sentence(r"the second hub angle of a Quanser arm is not predicted \(R2 (-[\d.]+)", _second_hub),
     Sentence(r"The PD settles after ([\d.]+) s", _pd_settles),
 )
-DEFINITIONS = (  # with numbers of environments, the first picture, metrics, cases of the verification, certificates and other plants
+DEFINITIONS = (  # of environments, the first picture, metrics, cases of the verification, certificates and other plants
     Sentence(r"The policy settles after ([\d.]+) s", _policy_settles),
     Sentence(r"first mode at ([\d.]+) Hz\), hardly damped \(([\d.]+) % of critical", _task),
     Sentence(r"observation \| (\d+) numbers", _interface),
