@@ -103,13 +103,20 @@ class TorqueMode:
             self._base.reset(arms, episode, count)
 
     def act(self, actions: Array, readings: Readings, applied: Array, active: BoolArray) -> Array:
-        """Return the commanded torques (b, n): the sum of actions (b, k) and torques of the base controller."""
+        """Return the commanded torques (b, n): the sum of actions (b, k) and torques of the base controller.
+
+        Raises:
+            ValueError: for a base controller that returns actions of another shape than (b, n).
+        """
         actions = self._of_joints(actions)
         if isinstance(self.strength, np.ndarray):
             actions = np.clip(actions * self.strength, -1.0, 1.0)
         if self._base is None:
             return actions
         base_torques = np.asarray(self._base.act(readings, applied, active), dtype=np.float64)
+        if base_torques.shape != actions.shape:  # would be broadcast to all arms
+            returned = f"an array of shape {base_torques.shape}"
+            raise value_error("base.act", returned, f"actions of shape {actions.shape}, a row for each arm")
         result: Array = np.clip(base_torques + actions, -1.0, 1.0)
         return result
 

@@ -82,7 +82,8 @@ def add_options(parser: argparse.ArgumentParser, *names: str, **changes: dict[st
     shared: dict[str, dict[str, Any]] = {
         "scene": {"help": f"scene, a .json or .yaml file, or {', '.join(SCENES)}"},
         "agent": {
-            "help": f"folder of a run or a policy, a zip of Stable-Baselines3 (with --trust), or {', '.join(AGENTS)}"
+            "help": "folder of a run or a policy, a Python file with a function make of a Plant that returns a "
+            f"controller, a zip of Stable-Baselines3 (with --trust), or {', '.join(AGENTS)}"
         },
         "--env": {"help": f"{environment} (default: that of the agent)"},
         "--episodes": {
@@ -153,13 +154,21 @@ def load_scene(name: str) -> "Scene":
     return Scene.load(name)
 
 
+def agent_name(name: str) -> str:
+    """Return the name of an agent; a Python file with a controller is registered and known by the name of the file."""
+    from flexman_gym.common.registry import register_file
+
+    return register_file("controller", name) if name.endswith(".py") else name
+
+
 def load_agent(name: str, trust: bool, environment: "Configuration | None" = None) -> "AgentSpec":
     """Return an agent by its name or folder.
 
     Files of Stable-Baselines3 are read only if trusted, as reading them can run code.
 
     Args:
-        name: name of an agent, folder of a run or a policy, or a zip of Stable-Baselines3.
+        name: name of an agent, folder of a run or a policy, a Python file with a controller, or a zip of
+            Stable-Baselines3.
         trust: True if files of Stable-Baselines3 may be read.
         environment: environment in which the policy of a zip was trained, with the settings of its agent; None for the
             environment of the evaluation.
@@ -173,4 +182,4 @@ def load_agent(name: str, trust: bool, environment: "Configuration | None" = Non
         from flexman_agents.sb3 import load_sb3
 
         return load_sb3(Path(name), environment)
-    return find_agent(name)
+    return find_agent(agent_name(name))

@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from flexman_gym.commands import CommandLine, add_options, output_folder
+from flexman_gym.commands import CommandLine, add_options, agent_name, output_folder
 from flexman_gym.common.formatting import json_text
 
 if TYPE_CHECKING:
@@ -32,7 +32,8 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
 
     parser.add_argument(
         "--agents", nargs="+", metavar="AGENT",
-        help="folders of runs, or names of controllers and policies (default: all of flexman list, zero and random)",
+        help="folders of runs, Python files with a controller, or names of controllers and policies (default: all of "
+        "flexman list, zero and random)",
     )  # fmt: skip
     parser.add_argument(
         "--scenarios", nargs="+",
@@ -84,14 +85,15 @@ def _run(options: argparse.Namespace) -> int:
             options.parser.error(f"--{name}: {given} is not allowed; give a whole number >= {minimum}")
     if options.agent:
         return _certify(options, workers)
-    agents, folder = options.add or options.agents or AGENTS, options.folder or DEFAULT_FOLDER
+    agents = [agent_name(each) for each in options.add or options.agents or AGENTS]
+    folder = options.folder or DEFAULT_FOLDER
     results = LeagueRows.load(folder)
     if (options.redraw or options.details) and not results.cells:
         options.parser.error(f"--folder: {folder} is not allowed; give the folder of a league with rows")
     if options.details:
         if options.json:
             options.parser.error("--json: a table of --details has none; leave one of both out")
-        print("\n\n".join("\n".join(league_details(Standings(results), name)) for name in options.details))
+        print("\n\n".join("\n".join(league_details(Standings(results), agent_name(name))) for name in options.details))
         return 0
     groups = {} if options.redraw else _scenarios(options, results)
     for episodes, scenarios in groups.items():

@@ -3,14 +3,16 @@
 import json
 import os
 import re
+import sys
 import warnings
 from collections.abc import Callable, ItemsView, Iterator, Mapping, ValuesView
 from functools import cache
 from importlib import import_module
+from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from flexman_gym.common.checks import one_of, text
-from flexman_gym.common.errors import value_error
+from flexman_gym.common.errors import short_path, value_error
 
 Entry = TypeVar("Entry")
 TABLES = {
@@ -65,6 +67,30 @@ def register(kind: str, name: str, place: str) -> None:
     names = _registered()
     names.setdefault(kind, {})[name] = place
     os.environ[REGISTERED] = json.dumps(names)
+
+
+def register_file(kind: str, path: str | Path) -> str:
+    """Register the function `make` of a Python file under the name of the file, and return this name.
+
+    The folder of the file is added to the module search path, as by `python FILE`; the file runs at its first use.
+
+    Args:
+        kind: kind of the entry, see `register`.
+        path: the file, such as "my_controller.py".
+
+    Raises:
+        FileNotFoundError: for a file that does not exist.
+        ValueError: for a file whose name is no name of a module, and for a name of the library.
+    """
+    file = Path(path).resolve()
+    if not file.is_file():
+        raise FileNotFoundError(f"{short_path(path)}: there is no such file")
+    place = f"{file.stem}:make"
+    if _registered().get(kind, {}).get(file.stem) != place:
+        register(kind, file.stem, place)
+    if str(file.parent) not in sys.path:
+        sys.path.insert(0, str(file.parent))
+    return file.stem
 
 
 def _registered() -> dict[str, dict[str, str]]:
@@ -134,6 +160,11 @@ class Registry(Mapping[str, Entry], Generic[Entry]):
             raise ValueError(f"{self._kind} {name}: {place} of a plug-in cannot be imported ({reason})") from error
         entry: Entry = self._adapt(name, found) if self._adapt else found
         return entry
+
+    def file(self, name: str) -> Path | None:
+        """Return the file with the entry of a plug-in; None for a name of the library or an unknown name."""
+        place = None if name in self._own else self._place(name)
+        return Path(str(import_module(place.partition(":")[0]).__file__)) if place else None
 
     def __contains__(self, name: object) -> bool:
         return self._place(name) is not None

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+import flexman_gym as fm
 from flexman_gym.agent.action_modes import ACTIONS, ActionModeEntry, TorqueMode
 from flexman_gym.agent.agent import Agent
 from flexman_gym.agent.base_controllers import make_base
@@ -114,6 +115,21 @@ def test_torques_are_added_to_a_base_up_to_the_limits():
     assert TorqueMode(2).act(given, {}, given, active) is given, "without a base they are what they are"
     assert TorqueMode(2, Half()).act(given, {}, given, active).tolist() == [[1.0, 0.25], [-0.25, 0.875]]
     assert TorqueMode(2).names == ("torque_1", "torque_2")
+
+
+@pytest.mark.parametrize("shape", [(2,), (1, 2), (3, 1), ()])
+def test_actions_of_a_controller_are_not_broadcast_to_the_arms(shape):
+    class Flat:
+        sensors = ("servo",)
+
+        def reset(self, arms, episode, count):
+            pass
+
+        def act(self, readings, applied, active):
+            return np.full(shape, 0.1)
+
+    text = f"base.act: 'an array of shape {shape}' is not allowed; give actions of shape (3, 2), a row for each arm"
+    assert refusal(lambda: fm.evaluate(Flat(), "FlexPlanar-v0", range(3))) == text
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ import pytest
 import flexman_gym as fm
 from flexman_gym.agent.base_controllers import BASES
 from flexman_gym.common import registry
-from flexman_gym.common.registry import REGISTERED, TABLES, Registry, load_entry
+from flexman_gym.common.registry import REGISTERED, TABLES, Registry, load_entry, register_file
 
 from oracles.assertions import refusal
 from oracles.files import ROOT
@@ -72,6 +72,64 @@ def test_wrong_registrations_are_refused_in_one_line(arguments, line, plugin):
 def test_a_name_is_registered_once(plugin):
     fm.register("controller", "damper", "arm_extras:make_damper")
     assert refusal(fm.register, "controller", "damper", "arm_extras:Damper").startswith("name: 'damper'")
+
+
+CONTROLLER = """
+import numpy as np
+
+class Constant:
+    sensors = ()
+
+    def reset(self, arms, episode, count):
+        pass
+
+    def act(self, readings, applied, active):
+        return np.full_like(applied, {value})
+
+def make(plant):
+    return Constant()
+"""
+
+
+@pytest.fixture
+def own_file(plugin, tmp_path, monkeypatch):
+    """Return a file with a controller, and forget its module and its folder after the test."""
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    path = tmp_path / "own_constant.py"
+    path.write_text(CONTROLLER.format(value=0.5), encoding="utf-8")
+    yield path
+    sys.modules.pop("own_constant", None)
+
+
+@pytest.mark.feature
+def test_a_file_with_a_controller_is_an_agent_of_commands_and_its_rows_follow_the_file(own_file, tmp_path, capsys):
+    from flexman_gym.__main__ import main
+
+    scenario, folder = "FlexOne-v0", tmp_path / "league"
+    assert main(["evaluate", str(own_file), "--env", scenario, "--episodes", "1", "--json"]) == 0
+    metrics = json.loads(capsys.readouterr().out)["agents"][str(own_file)]
+    assert metrics["effort"] == fm.evaluate("own_constant", scenario, 1)["effort"] > 0.0
+    options = ["--add", str(own_file), "--scenarios", scenario, "--episodes", "1", "--folder", str(folder)]
+    for value, runs in ((0.5, True), (0.5, False), (0.1, True)):
+        own_file.write_text(CONTROLLER.format(value=value), encoding="utf-8")
+        assert main(["league", *options]) == 0
+        printed = capsys.readouterr().out
+        assert ("1 of 1: own_constant on FlexOne-v0" in printed) == runs
+    assert main(["league", "--details", str(own_file), "--folder", str(folder)]) == 0
+    assert capsys.readouterr().out.startswith("own_constant: ")
+
+
+def test_wrong_files_are_refused_in_one_line(plugin, tmp_path, monkeypatch):
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    with pytest.raises(FileNotFoundError, match=r"missing\.py: there is no such file"):
+        register_file("controller", tmp_path / "missing.py")
+    for name, line in (("pd", "name: 'pd' is not allowed; give a new name"), ("my-law", "place: 'my-law:make' is not")):
+        (tmp_path / f"{name}.py").write_text("make = print\n", encoding="utf-8")
+        assert refusal(register_file, "controller", tmp_path / f"{name}.py").startswith(line)
+    (tmp_path / "no_make.py").write_text("", encoding="utf-8")
+    assert "cannot be imported" in refusal(
+        fm.evaluate, register_file("controller", tmp_path / "no_make.py"), "FlexOne-v0", 1
+    )
 
 
 @pytest.mark.feature

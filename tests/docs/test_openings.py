@@ -1,10 +1,12 @@
 """Tests of the first paragraphs of evidence pages: what they state holds of the rows."""
 
+import re
 from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 
+from flexman_gym.simulation.methods import DEFAULT_METHOD
 from flexman_gym.toolbox.precision.runs import PrecisionRow as Run
 from studies.benchmark.measure import OURS, PPO, VECTOR
 from studies.benchmark.measure import BenchmarkRow as Speed
@@ -15,6 +17,7 @@ from studies.files import read_rows
 from studies.learning.measure import TASKS
 from studies.learning.measure import LearningRow as Learned
 from studies.learning.page import MOVING, SLEWS
+from studies.ringdown.measure import Errors as Accuracy
 from studies.ringdown.measure import RingDownRow as Released
 from studies.safety.learning import LearningRow as Safe
 from studies.servos.measure import ServoRow as Servo
@@ -82,6 +85,35 @@ def test_methods_are_as_the_openings_say():
             cheapest[case] = row
     good = [row.method.startswith(("gauss", "extrapolated")) for row in cheapest.values()]
     assert len(set(row.method for row in cheapest.values())) > 1 and np.mean(good) > 0.5
+
+
+def test_the_advice_on_methods_is_that_of_the_rows():
+    """Of the methods of fixed steps, the advised one has the lowest mean cost within the tolerance in all motions."""
+    advice = (DOCS / "advice.md").read_text(encoding="utf-8")
+    rows = read_rows(DOCS / "evidence" / "work_precision.csv", Run)
+    rows = [row for row in rows if row.step and row.time_error is not None and "elements a link" in row.model]
+    motions = {(row.scene, row.model) for row in rows}
+    assert len(motions) == 5
+    advised = re.findall(r"within ([\d.]+) mm \| `(\w+)`, ([\d.]+) ms \| (\d+\.?\d*) CPU ms", advice)
+    assert [float(tolerance) for tolerance, *_ in advised] == [10.0, 1.0, 0.1]
+    for tolerance, method, step, cost in advised:
+        groups = {}
+        for row in rows:
+            if row.status == "ok" and 1e3 * row.time_error <= float(tolerance):
+                groups.setdefault((row.method, row.step), []).append(row.cpu)
+        cpu = {key: 1e3 * np.mean(each) for key, each in groups.items() if len(each) == len(motions)}
+        best = min(cpu, key=cpu.get)
+        assert best == (method, float(step) / 1e3) and f"{cpu[best]:.2g}" == cost
+    accuracy = read_rows(DOCS / "evidence" / "accuracy.csv", Accuracy)
+    (slew,) = (row for row in accuracy if (row.method, row.kind) == (DEFAULT_METHOD, "slew") and row.time > 2.0)
+    assert (
+        f"`{DEFAULT_METHOD}`, {1e3 * slew.step:.3g} ms in `FlexRRR-v0` | the tip of half of {slew.arms:.0f} arms"
+        in advice
+    )
+    assert f"{1e3 * slew.tip_median:.2g} mm after a slew, of 95 % within {1e3 * slew.tip_95:.1g} mm" in advice
+    fidelity = (DOCS / "evidence" / "fidelity.md").read_text(encoding="utf-8")
+    (met,) = re.findall(r"\*\*(\d+ of \d+) choices meet", fidelity)
+    assert f"{met} [choices]" in advice
 
 
 def test_servos_are_as_the_opening_says():

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple, Self, TypeVar
 
 import numpy as np
 
+from flexman_gym.agent.base_controllers import BASES
 from flexman_gym.common.computer import computer_info
 from flexman_gym.common.errors import short_path
 from flexman_gym.common.files import CONVERSION, write_atomically
@@ -227,7 +228,8 @@ def _row_key(agent: str, scenario: str) -> str:
     parts: list[Any] = [*(each.to_plain() for each in both), plant, _code_hash(PACKAGE, SOURCES)]
     parts += [computer_info(("mujoco",) if plant == "mujoco" else ()) | {"processor": ""}, _is_lab(scenario)]
     folder = policy_folder(agent) or Path(agent)
-    files = [] if is_baseline(agent) else [folder / name for name in (SETTINGS, BEST, NEWEST, METADATA, ARRAYS)]
+    of_run = [] if is_baseline(agent) else [folder / name for name in (SETTINGS, BEST, NEWEST, METADATA, ARRAYS)]
+    files = [path] if (path := BASES.file(agent)) else of_run
     hashes = [hashlib.sha256(path.read_bytes()).hexdigest() for path in files if path.is_file()] or [agent]
     return hashlib.sha256(json.dumps([parts, hashes], sort_keys=True).encode()).hexdigest()[:16]
 
