@@ -3,7 +3,7 @@ TORCH := torch==2.13.0
 RUN := .venv/bin/python -m
 CODE := flexman_gym agents scripts
 
-.PHONY: demo test kernels quick lint site pages bundle verify wheel wheels publishable clients evidence clean
+.PHONY: demo test kernels quick lint site notebooks pages bundle verify wheel wheels publishable clients evidence clean
 
 demo: .venv/installed
 	.venv/bin/flexman demo
@@ -20,18 +20,19 @@ kernels: .venv/installed
 quick: .venv/installed
 	$(RUN) pytest -q -n 2 --core -m "not slow"
 
-# Into out/site, with the notebooks of the tutorials and their outputs. It opens from a disk without a network.
-site: pages
-	.venv/bin/python scripts/notebooks.py --run --folder out/site/tutorials
+# The site with the notebooks as they are stored, into out/site. It opens from a disk without a network.
+site: notebooks pages
 
-# The same site with notebooks that have no outputs yet: the tests run the code of the pages. Pages that are older than
-# their code say so at their top.
+# Writes the notebooks of edited tutorials, and runs those whose code has changed.
+notebooks: .venv/installed
+	.venv/bin/python scripts/notebooks.py
+
+# The site alone. Pages that are older than their code say so at their top.
 pages: .venv/installed
 	@mkdir -p build/site && ln -sfn ../../flexman_gym build/site/flexman_gym
 	@ln -sfn ../../agents build/site/flexman_agents
 	timeout 600 $(RUN) zensical build --strict --clean
 	$(RUN) studies evidence --notes out/site
-	.venv/bin/python scripts/notebooks.py --folder out/site/tutorials
 
 # The script of the replay page is what its sources say; left out without a network.
 bundle: .venv/installed

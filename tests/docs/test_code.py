@@ -5,17 +5,14 @@ import contextlib
 import doctest
 import importlib
 import io
-import json
 import re
 import shlex
 import shutil
-import subprocess
 import sys
 from itertools import pairwise
 
 import gymnasium as gym
 import keywords
-import notebooks as converter
 import pytest
 
 import flexman_gym as fm
@@ -65,12 +62,14 @@ def run(code, page, names):
     return printed.getvalue()
 
 
-def run_commands(lines):
-    """Run the commands of a block that are our scripts, on two arms; videos are written as shorter GIFs."""
+def run_commands(lines, less=True):
+    """Run the commands of a block, with less work if `less`; return the output of the last. Videos become GIFs."""
+    printed = io.StringIO()
     for words in map(shlex.split, lines.replace(".mp4", ".gif").splitlines()):
         assert words[0] == "flexman", words
-        with contextlib.redirect_stdout(io.StringIO()):
-            assert main(with_less_work(words[1:])) == 0, words
+        with contextlib.redirect_stdout(printed := io.StringIO()):
+            assert main(with_less_work(words[1:]) if less else words[1:]) == 0, words
+    return printed.getvalue()
 
 
 @pytest.mark.slow
@@ -89,9 +88,10 @@ def test_a_page_runs_and_prints_what_it_says(page, checkout, monkeypatch):
     names, result = {"__name__": "page"}, blocks(page)
     for (language, text), (following, said) in pairwise([*result, ("", "")]):
         if language == "sh":
-            run_commands(text)
+            printed = run_commands(text, less=following != "text")
         if language == "python":
             printed = run(text, page, names)
+        if language in ("sh", "python"):
             assert following != "text" or printed == said
     assert all(path.name in ("docs", "scripts", "runs") or path.stem.startswith("my_") for path in checkout.iterdir())
 
@@ -135,6 +135,9 @@ def test_the_examples_are_those_of_the_pages():
     assert (ROOT / "docs" / "examples" / "planar_payload.yaml").read_text(encoding="utf-8") in shown["training"]
     strips = find_arm(str(ROOT / "docs" / "examples" / "strip_arm.yaml"))
     assert strips.n_joints == 2 and all(joint.motor for joint in strips.joints)
+    (feedback,) = [text for text in shown["own_controller"] if "class StrainFeedback" in text]
+    file = (ROOT / "docs" / "examples" / "strain_feedback.py").read_text(encoding="utf-8")
+    assert feedback.partition("class")[2] == file.partition("class")[2].partition("\n\n\ndef make")[0] + "\n"
     _, _, circle = (ROOT / "docs" / "examples" / "circle.py").read_text(encoding="utf-8").partition("TURN")
     assert shown["own_task"][0].endswith(circle)
 
@@ -171,54 +174,6 @@ def test_examples_run_and_give_what_they_say(name):
         said = []
         result = doctest.DocTestRunner(optionflags=doctest.FAIL_FAST).run(each, out=said.append)
         assert result.attempted and not result.failed, "".join(said)
-
-
-TUTORIALS = converter.PAGES
-
-
-@pytest.fixture(scope="module")
-def notebooks(tmp_path_factory):
-    """Return the notebooks by name, as written by the script."""
-    folder = tmp_path_factory.mktemp("notebooks")
-    subprocess.run([sys.executable, ROOT / "scripts" / "notebooks.py", "--folder", folder], check=True)
-    return {path.stem: json.loads(path.read_text(encoding="utf-8")) for path in folder.glob("*.ipynb")}
-
-
-def test_there_is_one_for_each_tutorial(notebooks):
-    assert notebooks.keys() == {page.stem for page in TUTORIALS} and len(notebooks) >= 7
-
-
-@pytest.mark.parametrize("page", TUTORIALS, ids=lambda page: page.stem)
-def test_a_notebook_is_its_page(page, notebooks):
-    """Put together again, the cells are the page but for what its blocks print."""
-    written, pieces, prints = [], converter.PLOT.sub("", page.read_text(encoding="utf-8")).split("```"), False
-    for fence, piece in enumerate(pieces):  # every other piece is a block
-        prints = fence % 2 == 1 and piece.startswith("text\n")
-        if piece.startswith("sh\n") and fence % 2:
-            piece = "".join(f"!{line}\n" for line in piece.splitlines()[1:])
-        written += [] if prints else piece.removeprefix("python").split()
-    cells = [("".join(cell["source"]), cell["cell_type"]) for cell in notebooks[page.stem]["cells"]]
-    assert " ".join(text for text, _ in cells).replace("```", " ").split() == written
-    code = [text for text, kind in cells if kind == "code"]
-    assert len(code) == len([piece for piece in pieces[1::2] if piece.startswith(("python\n", "sh\n"))])
-    for text in code:
-        if not text.startswith("!"):
-            compile(text, page.name, "exec")
-
-
-def test_a_notebook_that_is_run_has_outputs_and_plots(tmp_path):
-    pytest.importorskip("nbclient")
-    run_cells = [
-        cell for cell in converter.executed(DOCS / "concepts.md", tmp_path)["cells"] if cell["cell_type"] == "code"
-    ]
-    assert run_cells and all(cell["outputs"] for cell in run_cells)
-    assert {path.name for path in tmp_path.iterdir()} == {path.name for path in DOCS.glob("my_*.png")}
-
-
-def test_a_notebook_is_valid(notebooks):
-    validate = pytest.importorskip("nbformat").validate
-    for each in notebooks.values():
-        validate(each)
 
 
 def test_the_page_of_keywords_is_that_of_the_table():

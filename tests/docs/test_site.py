@@ -61,7 +61,6 @@ def wrong_links(page, texts=PAGES):
         address, _, anchor = target.partition("#")
         path = Path(os.path.normpath((ROOT / page).parent / address)) if address else ROOT / page
         inside = not page.startswith("docs/") or DOCS in path.parents
-        path = path.with_suffix(".md") if path.suffix == ".ipynb" else path  # `make site` writes notebooks of pages
         known = texts.get(str(path.relative_to(ROOT))) if inside and ROOT in path.parents else None
         if not inside or not path.exists() or (anchor and (known is None or anchor not in anchors(known))):
             yield target
