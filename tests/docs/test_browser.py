@@ -225,8 +225,8 @@ def test_pictures_are_no_white_sheets_on_a_dark_page_and_fit_a_phone(page, brows
         browser.size(width, height)
         browser.open(f"file://{site / page}.html", "document.readyState === 'complete'")
         for name in PICTURES[page]:
-            if name == "league.svg" and width == 390:
-                continue  # a table is in its place
+            if page == "league/league" and width == 390:
+                continue  # tables are in their places
             shares = []
             for scheme in ("default", "slate"):
                 browser.run(f"document.body.setAttribute('data-md-color-scheme', '{scheme}')")

@@ -101,9 +101,13 @@ the controllers are designed; outside of it their model is wrong. The last rows 
 {chart}
 """
 SWEEPS = """
+<div class="wide" markdown>
+
 ![Settled episodes over the values of each parameter]({chart})
 
 Settled shares over the values of each parameter, of {sweep} for each value.
+
+</div>
 """
 
 
