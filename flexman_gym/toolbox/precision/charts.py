@@ -20,13 +20,14 @@ PEERS = {  # words in the name of the model -> label, colour, marker; the first 
     "Pinocchio": ("Pinocchio, rigid", BROWN, "s"), "SoRoMoX": ("SoRoMoX", GREEN, "v"),
 }  # fmt: skip
 PLACES = {  # words as above -> offset of the label, points, its end there, and whether it is that of the cheapest run
-    "MuJoCo, rods": ((6, 6), "left", True), "MuJoCo, rigid": ((4, -14), "right", True),
-    "MuJoCo": ((12, -15), "right", False), "Exudyn": ((6, 6), "left", True), "Pinocchio": ((8, -3), "left", True),
-    "SoRoMoX": ((14, 7), "right", False),
+    "MuJoCo, rods": ((6, 6), "left", True), "MuJoCo, rigid": ((0, 7), "right", True),
+    "MuJoCo": ((12, -15), "right", False), "Exudyn": ((9, -2), "left", True), "Pinocchio": ((0, 7), "left", True),
+    "SoRoMoX": ((7, 1), "left", False),
 }  # fmt: skip
 TITLE_WIDTH = 46  # characters of a line of the title of a panel
 LEFTMOST = 0.06  # left end of the axis of costs / cost of the cheapest run
 HIGHEST = 3.0  # largest error in a panel / that of the cheapest of our runs
+EDGE = 0.85  # largest error of a shown run / upper end of the axis, which cuts no marker
 
 
 def family_of(row: PrecisionRow) -> str | None:
@@ -99,8 +100,9 @@ def draw_panel(axes: Any, rows: Sequence[PrecisionRow], floor: float, title: str
     axes.plot(costs, [*accumulate(errors, min)], color=BLUE, linewidth=2.0, drawstyle="steps-post", marker=".")
     if front:
         _label(axes, front[-1], "flexman_gym", BLUE, (4, 4), "left")
+    highest = HIGHEST * max([row.error for row in front] or [floor])
     for words, (label, colour, marker) in PEERS.items():
-        mine = [row for row in rows if family_of(row) == words and math.isfinite(row.error)]
+        mine = [row for row in rows if family_of(row) == words and row.error < EDGE * highest]
         if mine:
             axes.plot(*_points(mine), marker, color=colour, markersize=6.0)
             offset, end, cheapest = PLACES[words]
@@ -117,7 +119,7 @@ def draw_panel(axes: Any, rows: Sequence[PrecisionRow], floor: float, title: str
     axes.axhline(1e3 * floor, color=SLATE, linewidth=1.0, linestyle="--", zorder=1)
     place = {"xycoords": ("axes fraction", "data"), "textcoords": "offset points"}
     axes.annotate("error of the reference", (0.01, 1e3 * floor), (0, -3), va="top", fontsize=8, color=SLATE, **place)
-    axes.set_ylim(300.0 * floor, 1e3 * HIGHEST * max([row.error for row in front] or [floor]))
+    axes.set_ylim(300.0 * floor, 1e3 * highest)
 
 
 def _points(rows: Sequence[PrecisionRow]) -> tuple[list[float], list[float]]:

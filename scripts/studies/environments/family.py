@@ -12,6 +12,7 @@ from flexman_gym.common import files
 from flexman_gym.common.markdown import markdown_table
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.envs.foundation import find_foundation
+from flexman_gym.envs.sensors.ideal import NEARNESS_LENGTH
 from flexman_gym.envs.tasks import Slew
 from flexman_gym.scene import catalog
 from flexman_gym.scene.link import Link
@@ -236,7 +237,7 @@ def _observations(family: Family) -> list[str]:
     first, *others = family.environments
     heads = ("slice", "entries", "unit", "largest")
     known = observation_rows(first)
-    lines = [f"{first}, Box ({_size(known)},):", "", *markdown_table(heads, known), ""]
+    lines = [f"{first}, Box ({_size(known)},):", "", *markdown_table(heads, known), "", *_components(known), ""]
     different = {name: rows for name in others if (rows := observation_rows(name)) != known}
     if len(different) < len(others):
         lines += [f"The same in {', '.join(name for name in others if name not in different)}.", ""]
@@ -250,6 +251,19 @@ def _observations(family: Family) -> list[str]:
     start = f" from entry {_size(rows[:same])} on, after those above" if same else ""
     lines += [f'With `sensors="lab"`, the sensors of a laboratory, {first} has Box ({_size(rows)},){start}:', ""]
     return [*lines, *markdown_table(heads, rows[same:]), ""]
+
+
+def _components(rows: Sequence[tuple[str, ...]]) -> list[str]:
+    """Return the order of the numbers within the slices of a table of observations."""
+    names = {row[0].strip("`") for row in rows}
+    parts = ["Motors, joints and links are counted from the base."]
+    if "link_deflections" in names:
+        parts += ["Deflections are those of the tip of each link along y and z of its beam frame."]
+    if "target_error" in names:
+        parts += ["`target_error` e is the target minus the tip in the base frame (x, y, z)."]
+    if "target_nearness" in names:
+        parts += [f"`target_nearness` is e / (|e| + {NEARNESS_LENGTH:.3g} R) for a reach R: it resolves millimetres."]
+    return paragraph(*parts)
 
 
 def _size(rows: Sequence[tuple[str, ...]]) -> int:

@@ -19,6 +19,7 @@ ALTERNATIVE = (
 )
 SHOWN = {"bells": RED, "distance": BLUE}  # reward -> colour
 ERRORS, SPEEDS = np.geomspace(1e-3, 10.0, 200), np.geomspace(1e-3, 10.0, 200)  # m, m/s
+BELLS = "bells:    0.7 mean(1 / (1 + (e / w)^2)) + 0.2 / (1 + (vibration / (0.035 R / s))^2) + 0.1 (1 - effort)"
 FORMULA = "distance: 1 - ln(1 + (e^2 + (T v / 32)^2) / n^2) / ln(1 + (f / n)^2)"
 
 
@@ -66,10 +67,10 @@ def reward_lines(name: str) -> list[str]:
             "PPO and SAC [train better](../learn.md#the-settings-of-a-recipe):"
         )
     more = paragraph(
-        f"for a tip error e and a tip speed v; here {scales}. All terms are those of a [slew](tasks.md#slew). The plot",
-        f"has the numbers of {DEFAULT_ID}.",
+        f"for a tip error e and a tip speed v; here {scales}. Widths w are 0.24 R, 0.047 R and 0.0094 R for a reach R,",
+        f"the effort is the mean square torque ([all terms](tasks.md#slew)). The plot has the numbers of {DEFAULT_ID}.",
     )
-    return [*paragraph(text), "", "```", FORMULA, "```", "", *more, "", f"![{ALTERNATIVE}]({PICTURE})"]
+    return [*paragraph(text), "", "```", FORMULA, BELLS, "```", "", *more, "", f"![{ALTERNATIVE}]({PICTURE})"]
 
 
 def _scales(name: str) -> tuple[float, float]:
