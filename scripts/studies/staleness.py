@@ -12,7 +12,7 @@ NAMED = 3  # changes that a line names
 NUMBERS = "scripts/readme.py --check --only README.md docs/index.md"  # reads the rows of the numbers of these pages
 NOTE = '<p class="old"><em>{}</em></p>'
 CHANGED = "These rows are older than the code: {} changed since version {} of {}."
-UNRECORDED = "With which code these rows were computed is not recorded{}."
+UNRECORDED = "Measured numbers of this page{} may be older than the code: no record of it was kept when they were made."
 VERSION = re.compile(r"flexman_gym (\d+\.\d+\.\d+)")
 
 
@@ -53,7 +53,7 @@ def note(checkout: Checkout, study: EvidenceStudy) -> str:
     if age.state == STALE:
         known = checkout.record(study.name)
         return CHANGED.format(_listed(age.changes), known["version"], known["date"])
-    oldest = "".join(f"; they are of version {_text(each)}" for each in versions(study, checkout.root)[:1])
+    oldest = "".join(f" are of version {_text(each)} and" for each in versions(study, checkout.root)[:1])
     return UNRECORDED.format(oldest)
 
 

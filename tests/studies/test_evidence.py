@@ -188,7 +188,10 @@ def test_a_page_that_is_older_than_its_code_says_so_at_its_top(study, tmp_path):
     marked = f'<nav></nav><h1>Title</h1>\n<p class="old"><em>{text}</em></p>\n<p>Answer.</p><h1>Part</h1>'
     assert (site / "page.html").read_text() == marked
     (tmp_path / RECORDS / "study.json").unlink()
-    expected = "With which code these rows were computed is not recorded; they are of version 0.2.0."
+    expected = (
+        "Measured numbers of this page are of version 0.2.0 and may be older than the code: no record of it was kept "
+        "when they were made."
+    )
     assert note(Checkout(tmp_path, ()), drawn) == expected
 
 
