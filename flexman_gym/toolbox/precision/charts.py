@@ -35,20 +35,24 @@ def family_of(row: PrecisionRow) -> str | None:
     return next((words for words in PEERS if row.model.startswith(words)), None)
 
 
-def front_of(rows: Iterable[PrecisionRow], floor: float = 0.0) -> list[PrecisionRow]:
-    """Return our runs on the Pareto front, by increasing cost.
+def lasting_errors(rows: Iterable[PrecisionRow], floor: float = 0.0) -> dict[PrecisionRow, float]:
+    """Return the largest error of model and method of each of our runs, at its step and all shorter ones, m.
 
-    Errors below the floor (m) count as equal. A run counts with the largest error of its model and method at its step
-    and all shorter ones, so that errors of model and method that cancel at one step by chance do not count.
+    Errors of model and method that cancel at one step by chance do not count, and those below the floor (m) are equal.
     """
-    ours = [row for row in rows if family_of(row) is None]
     errors: dict[tuple[str, str], float] = {}
-    points = {}
-    for row in sorted(ours, key=lambda row: row.step or 0.0):
+    result = {}
+    for row in sorted((row for row in rows if family_of(row) is None), key=lambda row: row.step or 0.0):
         key = row.model, row.method
-        errors[key] = max(floor, errors.get(key, 0.0), row.error)
-        points[row] = (row.cpu, errors[key])
-    return [ours[i] for i in pareto_front([points[row] for row in ours])]
+        errors[key] = result[row] = max(floor, errors.get(key, 0.0), row.error)
+    return result
+
+
+def front_of(rows: Iterable[PrecisionRow], floor: float = 0.0) -> list[PrecisionRow]:
+    """Return our runs on the Pareto front of cost and lasting error, by increasing cost."""
+    errors = lasting_errors(rows, floor)
+    ours = [*errors]
+    return [ours[i] for i in pareto_front([(row.cpu, errors[row]) for row in ours])]
 
 
 def _flexible_peers(rows: Sequence[PrecisionRow]) -> list[PrecisionRow]:

@@ -11,6 +11,7 @@ from flexman_gym.toolbox.precision.charts import (
     draw_scenes,
     family_of,
     front_of,
+    lasting_errors,
     ratio_text,
 )
 from flexman_gym.toolbox.precision.runs import OK, PrecisionRow
@@ -42,6 +43,8 @@ elements a link). Costs are the lowest CPU times of {rounds} rounds.
   others take less than {others:.0e} of it."""
 CHOSEN_HEADS = ("scene", "tolerance", "coordinates", "method, step", "error", "CPU ms per s",
                 "cost of all coordinates / choice")  # fmt: skip
+RUN_HEADS = "error at most", "scene", "model", "method, step", "error", "CPU ms per s"
+LIMITS = 30e-3, 5e-3, 1e-3  # m; errors of the table of runs
 HEADS = ("code", "model", "method, step", "error, mm", "CPU ms per s")
 
 
@@ -111,6 +114,20 @@ def chosen_lines(every: Sequence[PrecisionRow], floors: Sequence[Floor], files: 
                       f"{1e3 * chosen.error:.2g} mm", f"{1e3 * chosen.cpu:.2g}", ratio))  # fmt: skip
     source = f"Rows: [peers.csv](evidence/peers.csv), {files['peers.csv']}."
     return ["", *markdown_table(CHOSEN_HEADS, cells), "", source, ""]
+
+
+def run_lines(every: Sequence[PrecisionRow], floors: Sequence[Floor]) -> list[str]:
+    """Return the table of the cheapest of our runs within each error, for docs/accuracy_and_speed.md."""
+    cells = []
+    for limit in LIMITS:
+        for floor in floors:
+            errors = lasting_errors([row for row in every if row.scene == floor.scene], floor.floor)
+            within = [row for row, error in errors.items() if error <= limit and not row.model.startswith(CHOSEN)]
+            if within:
+                best = _cheapest(within)
+                cells.append((f"{1e3 * limit:g} mm", floor.title, best.model, f"`{best.method}`, {best.setting}",
+                              f"{1e3 * errors[best]:.2g} mm", f"{1e3 * best.cpu:.2g}"))  # fmt: skip
+    return ["", *markdown_table(RUN_HEADS, cells), ""]
 
 
 def _ratios(every: Sequence[PrecisionRow], floors: Sequence[Floor]) -> str:

@@ -11,7 +11,7 @@ from studies.export_c import AGENTS, StepRow, conditions, measure
 from studies.readme import replaced_part
 from studies.study import Study, Table
 
-PAGE = ROOT / "docs" / "own_controller.md"  # has a table of the rows
+PAGE = ROOT / "docs" / "c_code.md"  # has a table of the rows
 HEADS = ("agent", "median, us", "99.9 %, us", "longest, us", "longest, CPU time, us", "code, kB", "state, bytes")
 
 

@@ -1,7 +1,7 @@
 """Error against computing time of our methods and of other simulators, in four scenes."""
 
 from argparse import Namespace
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import flexman_gym as fm
@@ -9,7 +9,7 @@ from flexman_gym.common.computer import computer_text
 from flexman_gym.toolbox.precision.runs import PrecisionRow
 from studies.evidence import ROOT
 from studies.peers.measure import PEERS, Decay, batch_rows, decays, measured, of_peers, scenes, study
-from studies.peers.page import chosen_lines, draw, page
+from studies.peers.page import chosen_lines, draw, page, run_lines
 from studies.precision.measure import Floor
 from studies.readme import replaced_part
 from studies.study import Study, Table
@@ -28,14 +28,18 @@ def measure(options: Namespace) -> Iterator[Iterable[Any]]:
     yield decays(fm.catalog.paper_rrr(), of_peers(paper))
 
 
+def tables(rows: Sequence[PrecisionRow], floors: Sequence[Floor], _: Sequence[Decay], files: Mapping[str, str]) -> str:
+    """Return the page of speed and accuracy with its tables of runs and of chosen models."""
+    text = replaced_part(PAGE.read_text(encoding="utf-8"), "runs", run_lines(rows, floors))
+    return replaced_part(text, "chosen", chosen_lines(rows, floors, files))
+
+
 RUNNER = Study(
     tables=(Table("peers", PrecisionRow), Table("peers_truths", Floor), Table("peers_damping", Decay)),
     measure=measure,
     pages={
         "peers.md": page,
-        str(PAGE): lambda rows, floors, _, files: replaced_part(
-            PAGE.read_text(encoding="utf-8"), "chosen", chosen_lines(rows, floors, files)
-        ),
+        str(PAGE): tables,
     },
     charts=lambda folder, rows, floors, _: draw(rows, floors, folder),
     comment=lambda _: computer_text(PEERS.values()),
