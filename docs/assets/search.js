@@ -1,7 +1,7 @@
 // The search of the theme needs all words of a query in one section, and shows pages with any words that differ by two
-// letters. Here a query keeps its rarest words that one section has, without words such as "how"; if no section has any of
-// its words, nothing is found. Words with one
-// letter more, less or changed are found as before, from six letters on.
+// letters. Here a query that is no title keeps its rarest words that one section has, without words such as "how"; if no
+// section has any of its words, nothing is found. Words with one letter more, less or changed are found as before, from six
+// letters on.
 (() => {
   const Base = window.Worker, FROM = 6, NOTHING = "x".repeat(40);
   const PLAIN = new Set(("a an and are as at be by can do does for from has have how i in into is it its me much my of on or " +
@@ -33,10 +33,11 @@
       this.sections ??= items.map(({ title, text, path }) =>
         [...new Set(parts([title, text, ...(path ?? [])].join(" ").replace(/<[^>]*>/g, " "), config))]);
       const all = parts(input, config), rest = all.filter((word) => !PLAIN.has(word));
+      this.titles ??= items.map(({ title }) => parts(title, config));
+      if (this.titles.some((words) => all.every((word) => words.some((each) => each.startsWith(word))))) return input;
       const wanted = rest.length ? rest : all;
       const found = new Map(wanted.map((word) => [word, this.having(word)]));
       const known = wanted.filter((word) => found.get(word).size);
-      if (wanted.length === 0) return input;
       if (known.length === 0) return NOTHING;
       let together = null;
       const kept = new Set();

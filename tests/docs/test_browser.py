@@ -74,9 +74,21 @@ WANTED = {  # words -> pages, of which one is among the first two hits
     "foreshortening": {"theory.html#foreshortening"},
     "reproduce the paper": {"the_paper.html#reproduce-the-paper-figures-6-to-11"},
     "figure 6": {
-        "the_paper.html#reproduce-the-paper-figures-6-to-11", "the_paper.html#figures-6-to-11-beside-the-printed-ones",
+        "the_paper.html#reproduce-the-paper-figures-6-to-11", "the_paper.html#figures-6-to-11-as-computed-here",
     },
     "equation 23": {"the_paper.html#equations-22-and-23-a-flexible-joint"},
+    # sentences, whose words no section has together
+    "known weaknesses": {"where_it_fails.html"},
+    "limitations": {"where_it_fails.html"},
+    "is my policy good": {"learn.html#is-my-policy-good"},
+    "why does the tip ring": {"concepts.html#why-a-flexible-arm-rings"},
+    "which method": {"advice.html#which-method-and-step"},
+    "how much faster than MuJoCo": {"questions.html#how-much-faster-is-it-than-mujoco-at-equal-accuracy"},
+    "why does the PD settle 0 %": {"questions.html#why-does-the-pd-of-flexrrr-v0-settle-0"},
+    "strain limits while learning": {"own_task.html#limits-that-protect-the-arm", "safety.html"},
+    "CAD file": {"questions.html#can-i-import-a-cad-file-step-stl"},
+    "ONNX C UDP real-time": {"c_code.html"},
+    "Windows macOS Python versions": {"concepts.html#supported-systems", "start.html#how-to-install"},
 }  # fmt: skip
 
 

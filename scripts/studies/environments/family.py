@@ -10,12 +10,10 @@ import numpy as np
 
 from flexman_gym.common import files
 from flexman_gym.common.markdown import markdown_table
-from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
+from flexman_gym.envs.config.named_environments import DEFAULT_ID, NAMED_ENVIRONMENTS
 from flexman_gym.envs.foundation import find_foundation
 from flexman_gym.envs.sensors.ideal import NEARNESS_LENGTH
 from flexman_gym.envs.tasks import Slew
-from flexman_gym.scene import catalog
-from flexman_gym.scene.link import Link
 from studies.environments.measure import AGENTS, DURATION, SHAPED, SPREAD, Baseline, ModelError, baselines_of, travels
 from studies.environments.rewards import reward_lines
 from studies.environments.text import (
@@ -42,7 +40,7 @@ RECIPE = {
 }  # fmt: skip
 """Environment -> its recipe."""
 TRAINED_REWARD = "distance"  # reward of a slew in trainings, whose slope reaches from metres to millimetres
-AREAS = ("printed", "corrected")  # areas of link 1 of the paper's arm, see `catalog.paper_rrr`
+SLOW = "The PD reads motor angles only: [why it is slow](../questions.md#why-does-the-pd-of-flexrrr-v0-settle-0).", ""
 ACTION_SECONDS, ARMS = 0.1, 256  # s, 1; duration of an action without a recipe; number of arms of a training
 
 
@@ -279,20 +277,12 @@ def _arms(family: Family) -> list[str]:
 
 
 def _differences(name: str) -> list[str]:
-    """Return in which numbers the arm of FlexRRR-v0 differs from the paper and from its arm in the catalogue."""
-    arm, printed, corrected = NAMED_ENVIRONMENTS[name].arm, *(catalog.paper_rrr(area) for area in AREAS)
-    if [link.length for link in arm.links] != [link.length for link in printed.links]:
-        return []
-    areas = [link.area for link in (each.links[0] for each in (arm, printed, corrected)) if isinstance(link, Link)]
-    used = AREAS[areas[1:].index(areas[0])]
-    return [*paragraph(
-        f"The paper prints no rotor inertia and neglects damping. The arm here has rotors of "
-        f"{arm.joints[0].rotor_inertia:g} kg m^2, because a motor controller at 50 Hz cannot damp the "
-        f"{printed.joints[0].rotor_inertia:g} kg m^2 of `fm.catalog.paper_rrr()`, and a modal damping ratio of "
-        f"{arm.modal_damping_ratio:g} of the links. The area of link 1 is the {used} one, {areas[0]:g} m^2. It is "
-        f"ten times too large for its polar moment; `link1_area=\"corrected\"` makes it {areas[2]:g} m^2, and link 1 "
-        f"{corrected.links[0].mass:.3g} kg.",
-    ), ""]  # fmt: skip
+    """Return a link to the differences between the arm of FlexRRR-v0 and that of the paper."""
+    text = paragraph(
+        "Rotors and damping [differ from the paper](../the_paper.md#what-flexrrr-v0-changes-and-why), whose area of",
+        "link 1 is ten times too large for its polar moment.",
+    )
+    return [*text, ""] if name == DEFAULT_ID else []
 
 
 def _environment(name: str, baselines: Sequence[Baseline], errors: Sequence[ModelError], code: bool) -> list[str]:
@@ -317,9 +307,10 @@ def _environment(name: str, baselines: Sequence[Baseline], errors: Sequence[Mode
     chart = f"{name}: tip error and {quantity} of an episode without torque, {controllers}"
     task = f"Task [{kind}](tasks.md#{kind.lower()}), control period {named.control_period:g} s, episodes of "
     return [
-        f"![{picture}]({name}.gif){{ width=464 }}", "", *description, "",
+        f"![{picture}]({name}.gif){{ width=432 }}", "", *description, "",
         f"{task}{named.horizon:g} s:", "", "```python", *shown, "```", "",
-        *baseline_table(name, baselines), "", f"![{chart}]({name}.svg)", "",
+        *baseline_table(name, baselines), "", *(SLOW if name == DEFAULT_ID else ()),
+        f"![{chart}]({name}.svg){{ width=464 }}", "",
         *_under_conditions(name, baselines), *(_model_error(own[0]) if own else []), *_first_training(name, code),
     ]  # fmt: skip
 
@@ -358,8 +349,8 @@ def _first_training(name: str, code: bool) -> list[str]:
                 "sensors": ("full", "fine")}  # fmt: skip
     if is_slew(name):
         settings["task"] = {"kind": "slew", "reward": TRAINED_REWARD, **_drawn(named.task)}
-    words = "".join(f"    {key}={value!r},\n" for key, value in settings.items()).replace("'", '"').splitlines()
-    made = [f'arms = gym.make_vec("{name}", {ARMS}, autoreset_mode="SameStep",', *words, ")"]
+    words = ", ".join(f"{key}={value!r}" for key, value in settings.items()).replace("'", '"')
+    made = [f'arms = gym.make_vec("{name}", {ARMS}, autoreset_mode="SameStep",', f"    {words})"]
     known = f"the recipe `{recipe}` has them" if recipe else "there is no recipe for this environment"
     text = "[Settings](index.md#settings-for-a-first-training) for a first training"
     if not code:

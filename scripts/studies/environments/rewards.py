@@ -57,20 +57,31 @@ def reward_lines(name: str) -> list[str]:
     """Return the text on the rewards of an environment with slews, with the numbers of its arm."""
     reach, slew_time = _scales(name)
     scales = f"T / 32 = {LOOK_AHEAD * slew_time:.2g} s, n = {1e3 * NEAR * reach:.2g} mm, f = {FAR * reach:.2g} m"
-    bells = "bell curves of the tip error and of its vibration, which are flat far from the target"
+    bells = "bell curves of tip error and vibration, flat far from the target"
     logarithm = "a logarithm of tip error and speed, with a slope from metres to millimetres"
     default = getattr(NAMED_ENVIRONMENTS[name].task, "reward", None)
     text = f'The reward is `{default}`: {logarithm}. `reward="bells"` gives {bells}:'
     if default == "bells":
         text = (
-            f'The default is `bells`: {bells}. `gym.make("{name}", reward="distance")` takes {logarithm}; with it '
-            "PPO and SAC [train better](../learn.md#the-settings-of-a-recipe):"
+            f'The default is `bells`: {bells}. With `gym.make("{name}", reward="distance")`, {logarithm}, PPO and SAC '
+            "[train better](../learn.md#the-settings-of-a-recipe):"
         )
     more = paragraph(
         f"for a tip error e and a tip speed v; here {scales}. Widths w are 0.24 R, 0.047 R and 0.0094 R for a reach R,",
         f"the effort is the mean square torque ([all terms](tasks.md#slew)). The plot has the numbers of {DEFAULT_ID}.",
     )
-    return [*paragraph(text), "", "```", FORMULA, BELLS, "```", "", *more, "", f"![{ALTERNATIVE}]({PICTURE})"]
+    return [
+        *paragraph(text),
+        "",
+        "```",
+        FORMULA,
+        BELLS,
+        "```",
+        "",
+        *more,
+        "",
+        f"![{ALTERNATIVE}]({PICTURE}){{ width=464 }}",
+    ]
 
 
 def _scales(name: str) -> tuple[float, float]:
