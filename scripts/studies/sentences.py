@@ -247,7 +247,10 @@ SENTENCES = (  # with numbers of stored rows
         r"and nine of ten with (\d+) of the arms",
         _random_arms,
     ),
-    Sentence(r"\*\*Friction in no model\*\*: with it ([^)]*\)) of (\d+) slews settle", _unmodelled_friction),
+    Sentence(
+        r"\*\*Friction in no model\*\* \(`adaptive-lqr`\): with it ([^)]*\)) of (\d+) slews settle",
+        _unmodelled_friction,
+    ),
     Sentence(
         r"errs by ([\d.]+) mm at ([\d.]+) ms of computing time per simulated second; "
         r"the quickest other simulator as accurate takes ([\d.]+) times as long",

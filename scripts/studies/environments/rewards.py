@@ -9,7 +9,7 @@ import numpy as np
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.plot_style import BLUE, RED, save_figure
 from flexman_gym.envs.config.named_environments import DEFAULT_ID, NAMED_ENVIRONMENTS
-from flexman_gym.envs.tasks.rewards import FAR, LOOK_AHEAD, NEAR, REWARDS
+from flexman_gym.envs.tasks.rewards import FAR, LOOK_AHEAD, NEAR, REWARDS, VIBRATION_SCALE
 from studies.charts import new_chart
 from studies.environments.text import make, paragraph
 
@@ -19,7 +19,7 @@ ALTERNATIVE = (
 )
 SHOWN = {"bells": RED, "distance": BLUE}  # reward -> colour
 ERRORS, SPEEDS = np.geomspace(1e-3, 10.0, 200), np.geomspace(1e-3, 10.0, 200)  # m, m/s
-BELLS = "bells:    0.7 mean(1 / (1 + (e / w)^2)) + 0.2 / (1 + (vibration / (0.035 R / s))^2) + 0.1 (1 - effort)"
+BELLS = "bells:    0.7 mean(1 / (1 + (e / w)^2)) + 0.2 / (1 + (u / q)^2) + 0.1 (1 - effort)"
 FORMULA = "distance: 1 - ln(1 + (e^2 + (T v / 32)^2) / n^2) / ln(1 + (f / n)^2)"
 
 
@@ -67,8 +67,9 @@ def reward_lines(name: str) -> list[str]:
             "[train better](../learn.md#the-settings-of-a-recipe):"
         )
     more = paragraph(
-        f"for a tip error e and a tip speed v; here {scales}. Widths w are 0.24 R, 0.047 R and 0.0094 R for a reach R,",
-        f"the effort is the mean square torque ([all terms](tasks.md#slew)). The plot has the numbers of {DEFAULT_ID}.",
+        f"for a tip error e, a tip speed v, its vibration u (relative to a rigid arm); here {scales},",
+        f"q = {VIBRATION_SCALE * reach:.2g} m/s. The mean is that of three widths w ([all terms](tasks.md#slew)); the effort is",
+        f"the mean square torque. The plot has the numbers of {DEFAULT_ID}.",
     )
     return [
         *paragraph(text),
