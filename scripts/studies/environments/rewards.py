@@ -68,8 +68,8 @@ def reward_lines(name: str) -> list[str]:
         )
     more = paragraph(
         f"for a tip error e, a tip speed v, its vibration u (relative to a rigid arm); here {scales},",
-        f"q = {VIBRATION_SCALE * reach:.2g} m/s. The mean is that of three widths w ([all terms](tasks.md#slew)); the effort is",
-        f"the mean square torque. The plot has the numbers of {DEFAULT_ID}.",
+        f"q = {VIBRATION_SCALE * reach:.2g} m/s. The mean is that of three widths w ([all terms](tasks.md#slew)); the",
+        f"effort is the mean square torque. The plot has the numbers of {DEFAULT_ID}.",
     )
     return [
         *paragraph(text),
