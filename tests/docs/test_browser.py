@@ -212,7 +212,8 @@ def test_the_experiment_works_on_a_phone_and_with_keys(browser, site):
     browser.size(1280, 720)
 
 
-PICTURES = {  # page -> its pictures
+PICTURES = {
+    "theory": ("theory.svg",),  # page -> its pictures
     "index": ("side_by_side.gif", "live.gif", "speed_accuracy.svg"), "concepts": ("my_modes.png",),
     "environments/index": ("FlexRRR-v0.gif",), "environments/FlexRRR": ("FlexRRR-v0.svg",),
     "league/league": ("league.svg", "sweeps.svg"), "results": ("learning_FlexRRR-v0.svg",),
