@@ -212,12 +212,11 @@ def test_the_experiment_works_on_a_phone_and_with_keys(browser, site):
     browser.size(1280, 720)
 
 
-PICTURES = {
-    "theory": ("theory.svg",),  # page -> its pictures
+PICTURES = {  # page -> its pictures
     "index": ("side_by_side.gif", "live.gif", "speed_accuracy.svg"), "concepts": ("my_modes.png",),
     "environments/index": ("FlexRRR-v0.gif",), "environments/FlexRRR": ("FlexRRR-v0.svg",),
     "league/league": ("league.svg", "sweeps.svg"), "results": ("learning_FlexRRR-v0.svg",),
-    "the_paper": ("paper_figures.png",),
+    "the_paper": ("paper_figures.png",), "theory": ("theory.svg",),
 }  # fmt: skip
 WHITE = 235  # of 255; brightness of a sheet of paper
 
