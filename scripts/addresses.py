@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import yaml
 
-from studies.readme import replaced_part
+from studies.markdown import replaced_part
 
 ROOT = Path(__file__).parents[1]
 SETTINGS = Path(__file__).with_suffix(".yaml")

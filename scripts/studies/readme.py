@@ -13,12 +13,12 @@ from flexman_gym.evaluation.metrics import METRICS
 from flexman_gym.evaluation.shares import intervals_text
 from flexman_gym.toolbox.league.standings import Standings
 from studies.environments.overview import environments
+from studies.markdown import replaced_part
 from studies.sentences import updated, window_and_episodes
 from studies.sources import Sources
 
 UNKNOWN = f"{DEFAULT_ID}/unknown"  # scenario with unknown payload and stiffness, and a delay
 SHOWN = ("adaptive-lqr", "lab-flexrrr", "lqg", "lqr-tracking", "pd", "ppo-flexrrr")  # agents of the table
-MARKERS = "<!-- {name} -->", "<!-- end of {name} -->"  # lines above and below a generated part of the README
 # information of `describe_agent` -> words of the README; a training is no information about the arm
 INFORMATION = {
     "true state": "true state",
@@ -53,16 +53,6 @@ def _information(agent: str) -> tuple[str, tuple[str, ...], bool]:
     """Return the description of an agent, its information, and whether it does without oracle information."""
     info = describe_agent(agent)
     return info.description, info.information, info.realisable
-
-
-def replaced_part(text: str, name: str, lines: Iterable[str]) -> str:
-    """Return a page with new lines between the markers of a generated part; ValueError without these markers."""
-    above, below = (marker.format(name=name) for marker in MARKERS)
-    head, first, rest = text.partition(above)
-    _, last, tail = rest.partition(below)
-    if not (first and last):
-        raise ValueError(f"no lines {above} and {below}")
-    return "\n".join([head + above, *lines, below + tail])
 
 
 def readme(text: str, sources: Sources) -> str:

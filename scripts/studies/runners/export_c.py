@@ -8,7 +8,7 @@ from tempfile import TemporaryDirectory
 from flexman_gym.common.markdown import markdown_table
 from studies.evidence import ROOT
 from studies.export_c import AGENTS, StepRow, conditions, measure
-from studies.readme import replaced_part
+from studies.markdown import replaced_part
 from studies.study import Study, Table
 
 PAGE = ROOT / "docs" / "c_code.md"  # has a table of the rows

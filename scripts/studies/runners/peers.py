@@ -8,10 +8,10 @@ import flexman_gym as fm
 from flexman_gym.common.computer import computer_text
 from flexman_gym.toolbox.precision.runs import PrecisionRow
 from studies.evidence import ROOT
+from studies.markdown import replaced_part
 from studies.peers.measure import PEERS, Decay, batch_rows, decays, measured, of_peers, scenes, study
 from studies.peers.page import chosen_lines, draw, page, run_lines
 from studies.precision.measure import Floor
-from studies.readme import replaced_part
 from studies.study import Study, Table
 from studies.verification.motions import REFERENCE
 

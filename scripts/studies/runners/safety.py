@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from studies.evidence import ROOT
-from studies.readme import replaced_part
+from studies.markdown import replaced_part
 from studies.safety.learning import LearningRow, learning_rows
 from studies.safety.measure import CELLS, SafetyRow, row
 from studies.safety.page import cells, page
