@@ -77,6 +77,11 @@ def load(text: str) -> Addresses:
     return Addresses(**plain, authors=authors, badges=tuple(data.get("badges") or ()))
 
 
+def read() -> Addresses:
+    """Return the addresses of the project; ValueError as `load`."""
+    return load(SETTINGS.read_text(encoding="utf-8"))
+
+
 def pyproject(text: str, addresses: Addresses) -> str:
     """Return pyproject.toml with the authors and the table [project.urls]."""
     names = [f"{each.given} {each.family}" for each in addresses.authors] or [CONTRIBUTORS]
@@ -156,7 +161,7 @@ def releases(text: str, addresses: Addresses, version: str, released: str) -> st
     authors = " and ".join(f"{each.family}, {each.given}" for each in addresses.authors)
     fields = {
         "title": f"{{{TITLE}}}",
-        "author": f"{{{authors}}}" if authors else "{{flexman\\_gym contributors}}",
+        "author": f"{{{authors}}}" if authors else "{{" + CONTRIBUTORS.replace("_", "\\_") + "}}",
         "year": f"{{{released[:4]}}}" * bool(released),
         "version": f"{{{version}}}",
         "license": "{MIT}",
@@ -206,7 +211,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--check", action="store_true", help="only list the files that differ")
     check = parser.parse_args().check
-    differing = write(ROOT, load(SETTINGS.read_text(encoding="utf-8")), check)
+    differing = write(ROOT, read(), check)
     for name in differing:
         print(f"{name}: {'differs from addresses.yaml' if check else 'written'}")
     return int(check and bool(differing))

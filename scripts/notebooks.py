@@ -12,9 +12,10 @@ import shutil
 import sys
 import tempfile
 import time
-import tomllib
 from pathlib import Path
 from typing import Any
+
+import addresses
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -36,12 +37,6 @@ if "google.colab" in sys.modules:  # install the package on this computer of Goo
     %cd checkout
     !pip install --quiet '.[train,render]'"""
 """Code of the first cell; `address` is that of the repository."""
-
-
-def repository_address() -> str:
-    """Return the address of the repository in `pyproject.toml`, "" while there is none."""
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    return str(project.get("urls", {}).get("Repository", ""))
 
 
 def cells(page: str) -> list[tuple[str, str]]:
@@ -135,7 +130,7 @@ def write(page: Path, run: bool, plots: bool) -> None:
         plots: copy the plots of a run beside the page.
     """
     start, path = time.perf_counter(), FOLDER / f"{page.stem}.ipynb"
-    content = notebook(page, repository_address())
+    content = notebook(page, addresses.read().repository)
     stored = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {"cells": []}
     kept = not run and copy_outputs(stored, content)
     if not kept:

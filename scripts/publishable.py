@@ -136,7 +136,7 @@ def findings(wheel: Path | None) -> tuple[list[str], list[str]]:
     Args:
         wheel: a built wheel, or None to build it.
     """
-    given = addresses.load(addresses.SETTINGS.read_text(encoding="utf-8"))
+    given = addresses.read()
     lines = [*differing_files(ROOT, given), *changelog(ROOT), *licence_texts(ROOT)]
     with tempfile.TemporaryDirectory() as folder:
         files = [wheel] if wheel else build(Path(folder))

@@ -32,8 +32,7 @@ def copies(tmp_path):
 
 
 def test_files_show_the_addresses_of_the_settings():
-    given = addresses.load(addresses.SETTINGS.read_text(encoding="utf-8"))
-    assert addresses.write(ROOT, given, check=True) == [], "run python scripts/addresses.py"
+    assert addresses.write(ROOT, addresses.read(), check=True) == [], "run python scripts/addresses.py"
 
 
 def test_addresses_are_shown_in_all_files_and_empty_ones_in_none(copies):

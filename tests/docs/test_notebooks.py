@@ -8,6 +8,7 @@ from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
 
+import addresses
 import notebooks as converter
 import pytest
 import yaml
@@ -55,7 +56,7 @@ def test_every_tutorial_has_its_notebook_in_the_list():
 @pytest.mark.parametrize("name", TUTORIALS)
 def test_a_notebook_is_its_page_and_shows_what_it_prints(name):
     """After an edit of a page `make notebooks` writes its notebook, and runs it if its code has changed."""
-    expected = converter.notebook(TUTORIALS[name], converter.repository_address())
+    expected = converter.notebook(TUTORIALS[name], addresses.read().repository)
     assert without_outputs(NOTEBOOKS[name]) == expected
     assert wrong_prints(TUTORIALS[name], NOTEBOOKS[name]) == []
     code = converter.code(NOTEBOOKS[name])
@@ -129,7 +130,7 @@ def colab_link(url, content, address):
 
 def test_pages_with_a_notebook_link_to_colab_once_there_is_a_repository():
     settings = yaml.safe_load((ROOT / "mkdocs.yml").read_text(encoding="utf-8"))
-    assert settings["repo_url"] == converter.repository_address()  # of the theme, and of the notebooks
+    assert settings["repo_url"] == addresses.read().repository  # of the theme, and of the notebooks
     there, content = "https://github.com/owner/name", '<a href="fit.ipynb">notebook</a>'
     link = colab_link("tutorials/fit.html", content, there)
     assert 'href="https://colab.research.google.com/github/owner/name/blob/main/docs/tutorials/fit.ipynb"' in link
