@@ -337,7 +337,8 @@ def drawn(capsys, *words):
     """Files that the command says it has written, once they are pictures."""
     assert main(["draw", *map(str, words)]) == 0
     files = [Path(line) for line in capsys.readouterr().out.splitlines()]
-    assert all(file.read_bytes().startswith((b"\x89PNG", b"<?xml")) for file in files)
+    begins = {".png": b"\x89PNG", ".svg": b"<?xml"}
+    assert all(file.read_bytes().startswith(begins[file.suffix]) for file in files)
     return files
 
 

@@ -10,7 +10,6 @@ from flexman_gym.toolbox.precision.charts import (
     conclusion,
     draw_scenes,
     family_of,
-    front_of,
     lasting_errors,
     ratio_text,
 )
@@ -74,11 +73,9 @@ def page(
     rows = [row for row in paper if family_of(row) is None]
     mujoco = _cheapest(row for row in peers if (row.model, row.method) == ("MuJoCo, 8 pieces", "Euler"))
     floor = next(each.floor for each in floors if each.scene == PAPER)
-    front = [row for row in front_of(rows, floor) if not row.model.startswith(CHOSEN)]
-    lasting = lasting_errors(rows, floor)
-    best = {name: _cheapest(row for row in group if lasting.get(row, row.error) <= NEAR)
-            for name, group in (("ours", front), *((name, [row for row in peers if row.model.startswith(name)])
-                                                   for name in ("MuJoCo", "SoRoMoX")))}  # fmt: skip
+    best = {name: _cheapest(row for row in peers if row.model.startswith(name) and row.error <= NEAR)
+            for name in ("MuJoCo", "SoRoMoX")}  # fmt: skip
+    best["ours"] = _cheapest(_within(lasting_errors(rows, floor), NEAR))
     mine = [row for row in rows if row.model == PLAIN and row.time_error is not None and row.time_error <= WANTED]
     exudyn = [row for row in peers if row.model.startswith("Exudyn")]
     costs = sorted(cost_at([row for row in exudyn if row.method == method], WANTED) or 0.0
@@ -123,12 +120,16 @@ def run_lines(every: Sequence[PrecisionRow], floors: Sequence[Floor]) -> list[st
     for limit in LIMITS:
         for floor in floors:
             errors = lasting_errors([row for row in every if row.scene == floor.scene], floor.floor)
-            within = [row for row, error in errors.items() if error <= limit and not row.model.startswith(CHOSEN)]
-            if within:
+            if within := _within(errors, limit):
                 best = _cheapest(within)
                 cells.append((f"{1e3 * limit:g} mm", floor.title, best.model, f"`{best.method}`, {best.setting}",
                               f"{1e3 * errors[best]:.2g} mm", f"{1e3 * best.cpu:.2g}"))  # fmt: skip
     return ["", *markdown_table(RUN_HEADS, cells), ""]
+
+
+def _within(errors: Mapping[PrecisionRow, float], limit: float) -> list[PrecisionRow]:
+    """Return our runs, without those of `choose_model`, whose lasting error is at most a limit, m."""
+    return [row for row, error in errors.items() if error <= limit and not row.model.startswith(CHOSEN)]
 
 
 def _ratios(every: Sequence[PrecisionRow], floors: Sequence[Floor]) -> str:

@@ -1,13 +1,12 @@
 """Certificates of the shipped policies: changes that exceed limits, and the texts of the limits."""
 
-import re
-
 import numpy as np
 import pytest
 
 from flexman_gym.common.formatting import millimetres
 from flexman_gym.evaluation.policy_files import POLICIES, policy_folder, read_policy
 from flexman_gym.toolbox.league.certificate_file import exceeded_limits, read_certificate
+from studies.learning.page import CHANGE_NAMES
 
 from oracles.files import ROOT
 
@@ -15,13 +14,22 @@ from oracles.files import ROOT
 @pytest.mark.parametrize("name", POLICIES)
 def test_the_page_of_policies_has_the_row(name):
     about, text = read_policy(policy_folder(name)).metadata, (ROOT / "docs" / "results.md").read_text(encoding="utf-8")
-    lines = [[cell.strip() for cell in line.strip("| ").split(" | ")] for line in text.splitlines()]
-    heads = next(cells for cells in lines if cells[0] == "change" and f"`{name}`" in cells)
-    column = {cells[0]: cells[heads.index(f"`{name}`")] for cells in lines if len(cells) == len(heads)}
+    table = text.partition("| change | ")[2].partition("\n\n")[0].splitlines()
+    heads, _, *lines = [[cell.strip() for cell in line.strip("| ").split(" | ")] for line in table]
+    column = {change: cells[heads.index(f"`{name}`")] for change, *cells in lines}
     assert column["recipe"] == f"`{about['recipe']['name']}`"
     assert column["environment"] == f"`{about['league']['environment']}`"
-    beyond = [cell for change, cell in column.items() if re.search("settl|vibration", cell)]
-    assert len(beyond) == len(exceeded_limits(name))
+    failed = {}
+    for change, _ in exceeded_limits(name):
+        parameter, _, values = change.partition("=")
+        prefix = f"{values.replace(':', ' to ')}: " if ":" in values else ""
+        change = parameter if prefix else change
+        failed[CHANGE_NAMES.get(change, change.replace("=", " "))] = prefix
+    outcomes = {change: cell for change, cell in column.items() if change not in ("recipe", "environment")}
+    assert failed.keys() <= outcomes.keys()
+    for change, cell in outcomes.items():
+        within = cell == "-" or cell.endswith("yes")
+        assert within != (change in failed) and cell.startswith(failed.get(change, "")), change
 
 
 @pytest.mark.parametrize("name", POLICIES)
