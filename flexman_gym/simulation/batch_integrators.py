@@ -177,7 +177,7 @@ GROUPS_PER_THREAD = 4  # least number of groups of arms per thread; passing a ta
 class LaneIntegrator(BatchIntegrator):
     """Batch integrator by fixed steps; the ARMS_PER_GROUP arms of a group are SIMD lanes.
 
-    A single arm without foreshortening is integrated by faster kernels of one arm, with equal results to the bit.
+    A single arm is integrated by faster kernels of one arm, with equal results to the bit.
     `period` = (interval, substeps): the control period or output interval, s, and the number of steps in it.
     """
 
@@ -189,7 +189,7 @@ class LaneIntegrator(BatchIntegrator):
     ) -> None:
         self._method, self._arguments = method, method.kernel_arguments
         self._step, self._substeps = period[0] / period[1], period[1]
-        self._single = arms == 1 and len(constants.station_mass) == 0
+        self._single = arms == 1
         self._kind, self._size = (SingleTables, 1) if self._single else (self._lane_kind, ARMS_PER_GROUP)
         groups = -(-arms // self._size)
         if self._single:
