@@ -11,6 +11,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 from textwrap import wrap
+from traceback import extract_tb
 
 from flexman_gym import __version__, commands
 from flexman_gym.common.errors import suggestion
@@ -74,8 +75,20 @@ def _run(arguments: list[str] | None) -> int:
     except (ValueError, OSError) as error:  # invalid input; one line
         if isinstance(error, BrokenPipeError):
             print(flush=True)  # raises again if the pipe is that of the output
-        print(error, file=sys.stderr)
+        print(f"{_user_place(error)}{error}", file=sys.stderr)
     return 2
+
+
+def _user_place(error: BaseException) -> str:
+    """Return file, line and kind of an error that passed through a file of the user, else ""."""
+    packages = (sys.modules.get(name) for name in ("flexman_gym", "flexman_agents"))
+    known = [str(Path(each.__file__).parent) for each in packages if each and each.__file__]
+    known += [sys.prefix, sys.base_prefix, "<"]  # "<": frames without a file
+    frames = [each for each in extract_tb(error.__traceback__) if not each.filename.startswith(tuple(known))]
+    if not frames:
+        return ""
+    kind = "" if type(error) is ValueError else f"{type(error).__name__}: "
+    return f"{Path(frames[-1].filename).name}, line {frames[-1].lineno}: {kind}"
 
 
 def _command_parsers() -> "tuple[argparse.ArgumentParser, argparse._SubParsersAction[argparse.ArgumentParser]]":

@@ -85,7 +85,7 @@ def _row(trial: "Trial") -> str:
     causes = ", ".join(f"{count} {name}" for name, count in trial.failures.items()) or "none"
     needs = ", ".join(BASES[trial.agent].information) or "motor encoders"
     settled = f"{trial.settled:.0%} of {trial.episodes}"
-    return f"{trial.agent:<13}{trial.knows:<19}{settled:>9}{time:>6}{trial.seconds:>7.1f}  {causes:<14}{needs}"
+    return f"{trial.agent:<13}{trial.knows:<19}{settled:>9}{time:>6}{trial.seconds:>7.1f}  {causes:<13} {needs}"
 
 
 def _save(environment: "Configuration", chosen: "Trial | None", path: Path, table: TextIO) -> None:

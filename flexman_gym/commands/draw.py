@@ -20,7 +20,11 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command-line arguments."""
     parser.add_argument("what", choices=sorted(PLOTS), metavar="plot", help=", ".join(sorted(PLOTS)))
     parser.add_argument("subject", nargs="+", help="environment, arm, file or folder to plot, see above")
-    parser.add_argument("--out", type=Path, help="file, or folder for the plots of a league (default: PLOT.png)")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        help="file, or folder for the plots of a league (default: PLOT.png; side: .gif or .mp4, default side.gif)",
+    )
     parser.add_argument(
         "--angles", type=float, nargs="+", metavar="RAD", help="joint angles, rad (modes, bode; default: zero)"
     )

@@ -303,9 +303,14 @@ class Episodes:
         self.agent.reset(arms, info, len(self.over))
 
     def _check_start(self, arms: IntArray, options: object) -> None:
-        """Check that arms are within their limits after a reset."""
+        """Check that arms are within their limits after a reset, and goals that options set within the angle limit."""
         for arm in arms:
-            if failure := self._violation(arm):
+            failure = self._violation(arm)
+            far = np.flatnonzero(np.abs(self.view.goal_angles[arm]) > self.limits.angle)
+            if options and not failure and len(far):
+                angle = self.view.goal_angles[arm, far[0]]
+                failure = f"goal of motor_angles {angle:.4g} rad beyond limits.angle, {self.limits.angle:g}"
+            if failure:
                 field, value = ("options", options) if options else ("task", self.task)
                 raise value_error(field, value, f"a start and a goal within the limits ({failure})")
 

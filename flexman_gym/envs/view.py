@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from flexman_gym.common.arrays import Array
+from flexman_gym.envs.postures import PostureRanges
 from flexman_gym.kernels import layout
 from flexman_gym.kernels.control_period import fill_views, sparse_product
 from flexman_gym.kernels.rigid_arm import inverse_kinematics as solve_inverse_kinematics
@@ -35,6 +36,7 @@ class View:
         n_joints: number of joints n.
         reach: sum of the lengths of the links, m.
         lengths: (n,) lengths of the links, m.
+        postures: ranges of the joint angles and the posture in their middle, see `PostureRanges`.
         foundation: moving foundations of the arms, see `envs.foundation`; None for fixed ones.
         gear_ratios: (n,) turns of the motor shaft per turn of the joint; 1 for a joint without a `Motor`.
         has_gravity: True for an arm under gravity.
@@ -96,6 +98,7 @@ class View:
         self._springs: tuple[Array, Array, Array] | None = None  # see `Batch.spring_constants`
         self.n_joints, self.control_period, self.slew_time = model.n_joints, batch.control_period, slew_time
         self.lengths, self.reach = constants.length, float(constants.length.sum())
+        self.postures = PostureRanges.of(model.arm)
         self.gear_ratios = np.array([each.motor.gear_ratio if each.motor else 1.0 for each in model.arm.joints])
         self.has_gravity = bool(constants.gravity.any())
         self.gauge_radii = gauge_radii(model)

@@ -8,6 +8,8 @@ import numpy as np
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.formatting import WIDTH, millimetres, number_text, percent, text_table
 from flexman_gym.envs.config.configuration import Configuration
+from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS, condition_names
+from flexman_gym.envs.registration import NOMINAL
 from flexman_gym.evaluation.metrics import MEDIAN, SHARE, Metric, limit_metrics, task_metrics
 from flexman_gym.evaluation.rollouts import EpisodeRecord
 from flexman_gym.evaluation.shares import share_text
@@ -38,9 +40,7 @@ def metrics_table(
     first = next(iter(results.values()))
     metrics = (*task_metrics(environment.task), *limit_metrics(first[0]))
     columns = [each for each in metrics if each.name not in LEFT_OUT]
-    settings = environment.given.keys() - ({"method"} if environment.method == DEFAULT_METHOD else set())
-    changes = ", ".join(sorted(settings)) or "default settings"
-    title = f"{len(first)} episodes of {environment.id} ({changes}), the same for all"
+    title = f"{len(first)} episodes of {_environment_text(environment)}, the same for all"
     within = f"in {1e3 * first[0].band:.3g} mm"
     headers = ["agent", *(within if metric.name == "settled" else metric.header for metric in columns)]
     values = {metric: [metric.values(records) for records in results.values()] for metric in columns}
@@ -52,6 +52,16 @@ def metrics_table(
         sampled = f"{len(results)} training runs and episodes"
         caption.append(f"{ALL_SEEDS}: intervals of a hierarchical bootstrap over {sampled}")
     return "\n".join([*wrap(title, WIDTH), *text_table(headers, rows), *caption])
+
+
+def _environment_text(environment: Configuration) -> str:
+    """Return the id of an environment with its condition, or with the names of its changed settings."""
+    usual = environment.without(["method"]) if environment.method == DEFAULT_METHOD else environment
+    conditions = condition_names(environment.id) if environment.id in NAMED_ENVIRONMENTS else ()
+    for each in conditions:
+        if each != NOMINAL and Configuration.find(f"{environment.id}/{each}") == usual:
+            return f"{environment.id}/{each}"
+    return f"{environment.id} ({', '.join(sorted(usual.given)) or 'default settings'})"
 
 
 def _cell(metric: Metric, values: Array) -> str:

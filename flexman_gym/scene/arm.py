@@ -70,8 +70,8 @@ class Arm:
 
         The base frame has the axes of the root link and its origin at the first joint. Links behind fixed and held
         joints are merged with the link that carries them; the body of a separate link at the tip is the payload. Data
-        that the arm does not use are not checked, such as the inertia of the base. Limits of torque are read, where a
-        number <= 0 means none; a joint turns without stops, so that ranges of angles are not.
+        that the arm does not use are not checked, such as the inertia of the base. Limits of torque and speed are
+        read, where a number <= 0 means none, and the ranges of revolute joints, see `Joint.angle_range`.
 
         An inertia matrix is impossible if a principal moment exceeds the sum of the other two (or is negative). With
         inertias="project" it is replaced, with a warning, by that of the nearest distribution of mass: negative second
@@ -168,7 +168,7 @@ class Arm:
                 f"{min(axis):.4g}" + f" to {max(axis):.4g}" * (max(axis) > min(axis))
                 for axis in zip(*bending, strict=True)
             )
-            links.append((number, float(link.length), float(link.mass), *axes))
+            links.append((number, float(link.length), float(link.mass), *(axes if link.flexible else ("rigid",) * 2)))
             limit = "none" if joint.torque_limit is None else f"{joint.torque_limit:.4g}"
             spring = "rigid" if joint.stiffness is None else f"{joint.stiffness:.4g}"
             axis = "({:.3g}, {:.3g}, {:.3g})".format(*joint.axis)
@@ -187,6 +187,16 @@ class Arm:
         """Modal damping ratio of each link, (n,)."""
         ratio = self.modal_damping_ratio
         return ratio if isinstance(ratio, tuple) else (float(ratio),) * self.n_joints  # type: ignore[arg-type]
+
+    @property
+    def angle_ranges(self) -> tuple[tuple[float, float] | None, ...]:
+        """Range of the angle of each joint, rad; None for a joint that turns without stops."""
+        return tuple(joint.angle_range for joint in self.joints)
+
+    @property
+    def home(self) -> tuple[float, ...]:
+        """Posture (n,) in the middle of the angle ranges, 0 for a joint without a range, rad."""
+        return tuple(0.0 if each is None else 0.5 * (each[0] + each[1]) for each in self.angle_ranges)
 
     @property
     def n_joints(self) -> int:

@@ -18,6 +18,8 @@ from flexman_gym.common.checks import (
 from flexman_gym.common.errors import value_error
 from flexman_gym.scene.input_checks import check_keywords, warn_unusual_units
 
+LARGEST_RANGE = 8.0 * math.pi  # rad; largest range of the angle of a joint with stops
+
 
 @check_keywords
 @dataclass(frozen=True)
@@ -179,12 +181,16 @@ class Joint:
             `simulate` does not apply it.
         passive: True for a joint without motor and rotor; the spring is then relaxed at a joint angle of zero, and
             stiffness=None is a joint without a spring. Its friction acts between link and carrying frame.
-        motor: Motor with its gear, or None. Its `reflected_inertia` replaces rotor_inertia and its `joint_torque_limit`
-            replaces torque_limit; leave out both.
+        motor: Motor with its gear, or None. Its `reflected_inertia` replaces rotor_inertia, its `joint_torque_limit`
+            torque_limit and its `joint_speed_limit` speed_limit; leave out all three.
+        speed_limit: largest speed of the joint, rad/s; None if unknown. Planned motions keep it; the simulation does
+            not enforce it.
+        angle_range: least and largest joint angle, rad; None for a joint that turns without stops. Episodes start and
+            end within the range, and start around its middle; the simulation has no stops.
 
     Raises:
         ValueError: for a value outside its range, for a damper without a spring, for a spring without a rotor inertia,
-            and for a rotor inertia or torque limit in contradiction to the motor.
+            and for a rotor inertia, torque limit or speed limit in contradiction to the motor.
 
     Examples:
         >>> fm.Joint((0, 0, 1), rotor_inertia=0.01, stiffness=30.0).axis
@@ -206,6 +212,8 @@ class Joint:
     stiffness_pieces: tuple[tuple[float, float], ...] = ()
     knee_width: float = 1e-4
     passive: bool = False
+    speed_limit: float | None = None
+    angle_range: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         self._check_passive()
@@ -226,10 +234,17 @@ class Joint:
         self._check_static_friction()
         if self.torque_limit is not None:
             set_fields(self, torque_limit=physical("Joint.torque_limit", self.torque_limit, "N m"))
+        if self.speed_limit is not None:
+            set_fields(self, speed_limit=physical("Joint.speed_limit", self.speed_limit, "rad/s"))
+        if self.angle_range is not None:
+            set_fields(self, angle_range=_angle_range(self.angle_range))
         if self.stiffness is not None:
             set_fields(self, stiffness=physical("Joint.stiffness", self.stiffness, "N m/rad; None for a rigid joint"))
             if self.rotor_inertia == 0.0 and not self.passive:
-                allowed = "a number > 0 (kg m^2): the rotor of a joint with stiffness has mass"
+                allowed = (
+                    "a number > 0 (kg m^2): the rotor of a joint with stiffness has mass; at the joint, the inertia of "
+                    "the rotor of the motor times the square of the gear ratio"
+                )
                 raise value_error("Joint.rotor_inertia", self.rotor_inertia, allowed)
         elif self.damping > 0.0 and not self.passive:
             raise value_error(
@@ -245,9 +260,18 @@ class Joint:
         warn_unusual_units("Joint", vars(self))
 
     def _check_passive(self) -> None:
-        """Check that a passive joint has no motor, rotor, torque limit, backlash and stiffness pieces."""
+        """Check that a passive joint has no motor, rotor, limits, backlash and stiffness pieces."""
         if flag("Joint.passive", self.passive):
-            for name in ("motor", "rotor_inertia", "torque_limit", "backlash", "stiffness_pieces"):
+            names = (
+                "motor",
+                "rotor_inertia",
+                "torque_limit",
+                "backlash",
+                "stiffness_pieces",
+                "speed_limit",
+                "angle_range",
+            )
+            for name in names:
                 if getattr(self, name) not in (None, 0.0, ()):
                     raise value_error(f"Joint.{name}", getattr(self, name), "none for a passive joint")
 
@@ -260,20 +284,23 @@ class Joint:
                 raise value_error("Joint.static_friction", self.static_friction, allowed)
 
     def _set_from_motor(self, motor: Motor) -> None:
-        """Set rotor inertia and torque limit from the motor; values equal to those of the motor are accepted."""
-        inertia, limit = motor.reflected_inertia, motor.joint_torque_limit
+        """Set rotor inertia and limits from the motor; values equal to those of the motor are accepted."""
+        inertia, limit, speed = motor.reflected_inertia, motor.joint_torque_limit, motor.joint_speed_limit
         if self.rotor_inertia not in (0.0, inertia):
             allowed = f"none together with a motor, whose rotor inertia at the joint is {inertia:.6g} (kg m^2)"
             raise value_error("Joint.rotor_inertia", self.rotor_inertia, allowed)
         if self.torque_limit not in (None, limit) and limit is not None:
             allowed = f"none together with a motor with a limit, which sets {limit:.6g} (N m)"
             raise value_error("Joint.torque_limit", self.torque_limit, allowed)
-        set_fields(self, rotor_inertia=inertia, torque_limit=self.torque_limit if limit is None else limit)
-
-    @property
-    def speed_limit(self) -> float | None:
-        """Largest speed of the joint, as limited by its motor, rad/s; None if unknown."""
-        return None if self.motor is None else self.motor.joint_speed_limit
+        if self.speed_limit not in (None, speed) and speed is not None:
+            allowed = f"none together with a motor with a speed limit, which sets {speed:.6g} (rad/s)"
+            raise value_error("Joint.speed_limit", self.speed_limit, allowed)
+        set_fields(
+            self,
+            rotor_inertia=inertia,
+            torque_limit=self.torque_limit if limit is None else limit,
+            speed_limit=self.speed_limit if speed is None else speed,
+        )
 
     @property
     def rotor_damping(self) -> float:
@@ -311,6 +338,15 @@ class Joint:
     def ripple_phase(self) -> float:
         """Phase of the torque ripple, rad."""
         return 0.0 if self.motor is None else self.motor.ripple_phase
+
+
+def _angle_range(value: object) -> tuple[float, float]:
+    """Return a range of joint angles, rad; ValueError if its ends are not ascending or more than two turns apart."""
+    low, high = vector("Joint.angle_range", value, 2, "rad")
+    if not 0.0 < high - low <= LARGEST_RANGE:
+        allowed = f"two ascending angles (rad), at most {LARGEST_RANGE:.4g} apart; None for a joint without stops"
+        raise value_error("Joint.angle_range", value, allowed)
+    return low, high
 
 
 def _stiffness_pieces(value: object) -> tuple[tuple[float, float], ...]:

@@ -2,7 +2,7 @@
 
 from typing import NamedTuple
 
-from flexman_gym.common.checks import mapping, one_of, physical, sequence
+from flexman_gym.common.checks import mapping, physical, sequence
 from flexman_gym.common.errors import value_error
 
 
@@ -31,14 +31,17 @@ def find_material(value: object) -> _Material:
     (113.8 GPa, 44 GPa, 4430 kg/m^3). Their yield strengths are 276, 435 (normalised) and 880 MPa (annealed). Prefer
     measured values.
     """
+    numbers = "youngs_modulus (Pa), shear_modulus (Pa) and density (kg/m^3)"
+    allowed = f"one of {', '.join(MATERIALS)}, or three numbers, {numbers}"
     if isinstance(value, str):
-        return MATERIALS[one_of("Link.material", value, MATERIALS)]
+        if value not in MATERIALS:
+            raise value_error("Link.material", value, allowed)
+        return MATERIALS[value]
     if isinstance(value, dict):
         value = tuple(mapping("Link.material", value, _Material._fields).get(name) for name in _Material._fields)
-    allowed = f"youngs_modulus (Pa), shear_modulus (Pa) and density (kg/m^3), or one of {', '.join(MATERIALS)}"
-    numbers = sequence("Link.material", value, allowed)
-    if len(numbers) != 3:
+    values = sequence("Link.material", value, allowed)
+    if len(values) != 3:
         raise value_error("Link.material", value, allowed)
     units = ("Pa", "Pa", "kg/m^3")
-    named = zip(_Material._fields, numbers, units, strict=True)
+    named = zip(_Material._fields, values, units, strict=True)
     return _Material(*(physical(f"Link.{name}", number, unit) for name, number, unit in named))

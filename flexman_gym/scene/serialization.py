@@ -175,6 +175,8 @@ def to_plain(value: Any) -> Any:
         del entries["rotor_inertia"]
         if value.motor.joint_torque_limit is not None:
             del entries["torque_limit"]
+        if value.motor.joint_speed_limit is not None:
+            del entries["speed_limit"]
     if isinstance(value, NonUniformLink):
         for section in entries["sections"]:
             del section["orientation"]

@@ -55,6 +55,7 @@ FAST = {
     "method": {"method": "ros2", "step": 0.005},
     "explicit method": {"method": "rk4", "step": 0.01 / 64, "modes": (1, 1), "elements": 1},
     "fine": {"step": 0.01 / 64},
+    "stiffening": {"stiffening": True},
 }  # fmt: skip
 # one setting each with which the general way is taken
 SLOW = {
@@ -79,7 +80,6 @@ SLOW = {
     "moving goal": {"task": "track"},
     "preview": {"task": {"kind": "track", "preview": [0.05]}},
     "hold": {"task": "hold"},
-    "stiffening": {"stiffening": True},
     "implicit method": {"method": "generalised_alpha"},
 }
 

@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from flexman_gym import Slew
+from flexman_gym.envs.postures import PostureRanges
 
 from oracles.assertions import refusal
 
@@ -15,6 +16,12 @@ RANGES = {"tip_error": (0.0, 0.7), "tip_vibration": (0.0, 0.2), "effort": (0.0, 
 QUICK = settings(deadline=None, derandomize=True)
 LENGTHS = st.floats(0.0, 100.0)
 ACTIONS = st.lists(st.floats(-1.0, 1.0), min_size=3, max_size=3)
+
+
+def arm_view(joints):
+    """View of an arm whose joints turn without stops."""
+    free = np.full(joints, np.inf)
+    return SimpleNamespace(n_joints=joints, postures=PostureRanges(np.zeros(joints), -free, free))
 
 
 def terms(tip_error=0.0, tip_vibration=0.0, action=(0.0, 0.0, 0.0), failed=False, task=Slew(), scale=(8.5, 3.2)):  # noqa: B008
@@ -80,7 +87,7 @@ def test_a_batch_is_worth_what_its_rows_are():
 
 def test_start_and_posture_are_drawn_uniformly_from_what_the_task_says():
     task, rng = Slew(start=0.5, slew=0.25), np.random.default_rng(0)
-    plans = [task.draw(rng, SimpleNamespace(n_joints=4)) for _ in range(2000)]
+    plans = [task.draw(rng, arm_view(4)) for _ in range(2000)]
     starts, postures = (np.array([plan[name] for plan in plans]) for name in ("start", "goal_angles"))
     for drawn, width in ((starts, 0.5), (postures - starts, 0.25)):
         assert drawn.shape == (2000, 4)
@@ -91,7 +98,7 @@ def test_start_and_posture_are_drawn_uniformly_from_what_the_task_says():
 
 
 def test_a_task_may_start_from_the_same_place_every_time():
-    plan = Slew(start=0.0).draw(np.random.default_rng(0), SimpleNamespace(n_joints=3))
+    plan = Slew(start=0.0).draw(np.random.default_rng(0), arm_view(3))
     assert (plan["start"] == 0.0).all() and plan["goal_angles"].any()
 
 
@@ -136,7 +143,7 @@ def test_exponential_closeness_has_the_terms_that_the_docstring_says():
 
 def test_episodes_keep_to_pairs_of_start_and_goal():
     """As many as were asked for, the same for all generators, none of them twice."""
-    view, task = SimpleNamespace(n_joints=3), Slew(pairs=5)
+    view, task = arm_view(3), Slew(pairs=5)
     drawn = [task.draw(np.random.default_rng(seed), view) for seed in range(60)]
     pairs = {(each["start"].tobytes(), each["goal_angles"].tobytes()) for each in drawn}
     assert len(pairs) == 5 == len({start for start, _ in pairs})

@@ -36,7 +36,9 @@ def test_counts_of_the_encoder_are_finer_at_the_joint():
     assert (bare.joint_resolution, bare.joint_torque_limit, bare.joint_speed_limit) == (None, None, None)
     assert fm.Joint(Z, motor=bare).torque_limit is fm.Joint(Z, motor=bare).speed_limit is None
     assert fm.Joint(Z, motor=bare, torque_limit=2.0).torque_limit == 2.0  # of a gear, say
-    assert fm.Joint(Z).speed_limit is None
+    assert fm.Joint(Z).speed_limit is None and fm.Joint(Z, speed_limit=2.0).speed_limit == 2.0
+    assert fm.Joint(Z, motor=bare, speed_limit=2.0).speed_limit == 2.0
+    assert fm.Joint(Z, motor=MOTOR, speed_limit=8.0).speed_limit == MOTOR.joint_speed_limit == 8.0
 
 
 def test_a_motor_on_a_joint_is_the_same_arm_as_its_numbers():
@@ -136,6 +138,20 @@ def test_friction_and_gears_come_back_from_a_mapping():
         (
             lambda: fm.Joint(Z, 0.1, 5.0, stiffness_pieces=[(2.0, 0.5), (1.0, 0.7)]),
             "Joint.stiffness_pieces[1]: (1.0, 0.7) is not allowed; give (torque, fraction) with a torque > 2",
+        ),
+        (lambda: fm.Joint(Z, speed_limit=0.0), "Joint.speed_limit: 0.0 is not allowed; give a finite number > 0"),
+        (
+            lambda: fm.Joint(Z, motor=MOTOR, speed_limit=7.0),
+            "Joint.speed_limit: 7.0 is not allowed; give none together with a motor with a speed limit, which sets 8",
+        ),
+        (
+            lambda: fm.Joint(Z, angle_range=(1.0, 1.0)),
+            "Joint.angle_range: (1.0, 1.0) is not allowed; give two ascending angles (rad), at most 25.13 apart",
+        ),
+        (lambda: fm.Joint(Z, angle_range=(-90.0, 90.0)), "Joint.angle_range: (-90.0, 90.0) is not allowed; give two"),
+        (
+            lambda: fm.Joint(Z, passive=True, angle_range=(-1.0, 1.0)),
+            "Joint.angle_range: (-1.0, 1.0) is not allowed; give none for a passive joint",
         ),
         (lambda: replace(MOTOR, speed_limit=math.nan), "Motor.speed_limit: nan is not allowed; give a finite number"),
     ],

@@ -85,8 +85,9 @@ def _summary(configuration: Configuration, facts: ArmFacts) -> str:
 
 def _fact_rows(configuration: Configuration, facts: ArmFacts) -> Iterator[tuple[str, str]]:
     """Yield names and values of frequencies, holding torques and slews."""
+    place = f", at {np.round(facts.home, 2).tolist()} rad" * any(facts.home)
     for name, values in (("held", facts.held), ("free", facts.free)):
-        yield f"frequencies, motors {name}", f"{_numbers(values)} Hz" if values else "none: rigid"
+        yield f"frequencies, motors {name}", f"{_numbers(values)} Hz{place}" if values else "none: rigid"
     for i, (share, posture) in enumerate(zip(facts.holding, facts.postures, strict=True)):
         limit = configuration.torque_limit[i]
         if configuration.arm.joints[i].passive:
@@ -95,7 +96,10 @@ def _fact_rows(configuration: Configuration, facts: ArmFacts) -> Iterator[tuple[
         place = f", at {np.round(posture, 2).tolist()} rad" if share > 0.005 else ""
         yield f"joint {i + 1} holds", f"{share:.0%} of its torque limit, {limit:.4g} N m{place}"
     speeds = ", ".join("none" if each is None else f"{each:.3g}" for each in motor_speeds(configuration.arm))
-    yield "speed limits of the motors", f"{speeds} rad/s, for planned motions only"
+    yield "speed limits of the joints", f"{speeds} rad/s, for planned motions only"
+    if any(ranges := configuration.arm.angle_ranges):
+        ends = ", ".join("none" if each is None else f"{each[0]:.3g} to {each[1]:.3g}" for each in ranges)
+        yield "angle ranges of the joints", f"{ends} rad; episodes start around the middle"
     middle, longest = np.median(facts.durations), facts.durations.max()
     yield "slews", f"median {middle:.3g} s, longest {longest:.3g} s, peak rate {facts.rate:.3g} rad/s"
 
@@ -122,6 +126,7 @@ def _warnings(configuration: Configuration, facts: ArmFacts) -> Iterator[str]:
         share, posture = facts.holding[i], np.round(facts.postures[i], 2).tolist()
         needed = share * configuration.torque_limit[i] / HEAVY
         yield f"joint {i + 1} holds {share:.0%} of its torque limit at {posture} rad; {needed:.3g} N m would do"
+    yield from _speed_warnings(configuration, facts)
     longest, horizon = float(facts.durations.max()), configuration.horizon
     if longest > 0.5 * horizon:
         yield f"the longest slew needs {longest:.3g} s; the horizon is {horizon:g} s"
@@ -135,6 +140,18 @@ def _warnings(configuration: Configuration, facts: ArmFacts) -> Iterator[str]:
         count = {"first mode": PERIODS_PER_VIBRATION, "median slew": PERIODS_PER_SLEW}.get(cause, PERIODS_PER_ROTOR)
         yield f"the control period is {1e3 * period:.3g} ms; {count} in the {cause} need {1e3 * wanted:.2g} ms"
     yield from _sensor_warnings(configuration, facts)
+
+
+def _speed_warnings(configuration: Configuration, facts: ArmFacts) -> Iterator[str]:
+    """Yield the joint whose speed limit slews at the torque limits exceed most."""
+    speeds = {i: speed for i, speed in enumerate(motor_speeds(configuration.arm), 1) if speed is not None}
+    if speeds and facts.torque_rate > MUCH * min(speeds.values()):
+        joint = min(speeds, key=lambda each: speeds[each])
+        yield (
+            "agents without planned motions, such as pd and policies, exceed the speed limits: slews at the torque "
+            f"limits reach {facts.torque_rate:.3g} rad/s, joint {joint} allows {speeds[joint]:.3g} rad/s; limits.rate "
+            "ends an episode, and a motor with voltage_limit bounds its speed"
+        )
 
 
 def _sensor_warnings(configuration: Configuration, facts: ArmFacts) -> Iterator[str]:

@@ -12,6 +12,7 @@ from flexman_gym.agent.pd import torque_limits
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.errors import value_error
 from flexman_gym.envs.limits import Limits
+from flexman_gym.envs.postures import PostureRanges
 from flexman_gym.model.dynamics import mass_matrix
 from flexman_gym.model.model import Model, build_model
 from flexman_gym.model.statics import holding_torques, rest_state
@@ -27,6 +28,8 @@ PERIODS_PER_VIBRATION, PERIODS_PER_SLEW, PERIODS_PER_ROTOR = 40, 25, 8  # contro
 SHORTEST_PERIOD, LONGEST_PERIOD = 0.002, 0.02  # s; range of a derived control period
 SLEWS_PER_HORIZON = 4.0  # horizon / longest slew
 VIBRATIONS_PER_HORIZON, SHORTEST_HORIZON = 10.0, 5.0  # periods of the first mode; s
+ROUNDING = 1e-3  # fraction of the highest frequency with held motors; lower frequencies with free motors are no modes
+ANGLE_MARGIN = 0.5  # rad; limit of the angles beyond the ranges of the joints
 LIMIT_FACTOR = 3.0  # limits of rates and twists / values of a slew at the torque limits
 
 
@@ -34,17 +37,20 @@ class ArmFacts(NamedTuple):
     """Properties of an arm from which settings follow.
 
     Attributes:
-        held, free: frequencies (k,) of the first modes with motors held and free, Hz, at zero joint angles.
+        home: (n,) posture in the middle of the angle ranges, rad; zero without ranges.
+        held, free: frequencies (k,) of the first modes with motors held and free, Hz, at this posture.
         rotor: highest frequency of a rotor on its spring, Hz; 0 without elastic joints.
         holding: (n,) largest holding torque of each joint / its torque limit, over the ends of the slews.
         postures: (n, n) motor angles of these largest holding torques, rad; a row for each joint.
         durations: (s,) durations of the slews, s: the shortest that the limits of torques and speeds and the first mode
             allow.
         rate: largest motor rate of the slews, rad/s.
+        torque_rate: largest motor rate of slews that only the torque limits bound, rad/s.
         torque_share: median over the slews of the largest torque of the acceleration / the torque available to it.
         reach: length of the stretched arm, m.
     """
 
+    home: tuple[float, ...]
     held: tuple[float, ...]
     free: tuple[float, ...]
     rotor: float
@@ -52,6 +58,7 @@ class ArmFacts(NamedTuple):
     postures: Array
     durations: Array
     rate: float
+    torque_rate: float
     torque_share: float
     reach: float
 
@@ -83,22 +90,27 @@ def _facts(plain: str, torque_limit: tuple[float, ...], span: tuple[float, float
     model, limits, n = build_model(arm, elements=2), np.array(torque_limit), arm.n_joints
     random = np.random.default_rng(SEED)
     motors = np.array([not joint.passive for joint in arm.joints])
-    starts = random.uniform(-span[0], span[0], (SLEWS, n)) * motors
-    changes = random.uniform(-span[1], span[1], (SLEWS, n)) * motors
+    ranges = PostureRanges.of(arm)
+    starts = ranges.draw_starts(random, span[0], (SLEWS,)) * motors
+    changes = ranges.draw_changes(random, starts, span[1]) * motors
     ends = np.stack([starts, starts + changes], axis=1)
     torques = np.abs([[holding_torques(model, posture) for posture in pair] for pair in ends])
     shares = np.divide(torques, limits, out=np.zeros_like(torques), where=motors)
     _check_holding(shares, ends, limits)
     largest = shares.reshape(-1, n).argmax(axis=0)
-    held, free = (tuple(modes(model, motors=each).frequencies[:SHOWN].tolist()) for each in ("held", "free"))
+    held = tuple(modes(model, arm.home).frequencies[:SHOWN].tolist())
+    free = tuple(
+        each for each in modes(model, arm.home, motors="free").frequencies[:SHOWN].tolist() if _vibrates(each, held)
+    )
     by_torque = _torque_durations(model, limits, (starts, changes), torques.max(axis=1))
     speeds = np.array([np.inf if speed is None else speed for speed in motor_speeds(arm)])
     durations = np.maximum(by_torque, (PEAK_RATE * np.abs(changes) / (SPEED_SHARE * speeds)).max(axis=1))
-    rates = PEAK_RATE * np.abs(changes).max(axis=1) / np.where(durations > 0.0, durations, 1.0)
+    rates, torque_rates = (_peak_rates(changes, each) for each in (durations, by_torque))
     durations = np.maximum(durations, 1.0 / held[0] if held else 0.0)
     springs = [each.stiffness / each.rotor_inertia for each in arm.joints if each.stiffness and not each.passive]
     rotor = math.sqrt(max(springs, default=0.0)) / (2.0 * math.pi)
     return ArmFacts(
+        arm.home,
         held,
         free,
         rotor,
@@ -106,9 +118,21 @@ def _facts(plain: str, torque_limit: tuple[float, ...], span: tuple[float, float
         ends.reshape(-1, n)[largest],
         durations,
         float(rates.max()),
+        float(torque_rates.max()),
         float(np.median((by_torque / durations) ** 2)),
         float(model.constants.length.sum()),
     )
+
+
+def _vibrates(frequency: float, held: Sequence[float]) -> bool:
+    """Return True for the frequency of a mode, Hz, False for the rounding error of a motion of free motors."""
+    return frequency > ROUNDING * max(held, default=0.0)
+
+
+def _peak_rates(changes: Array, durations: Array) -> Array:
+    """Return the largest motor rates (s,) of slews by changes (s, n), rad, in durations (s,), s; rad/s."""
+    rates: Array = PEAK_RATE * np.abs(changes).max(axis=1) / np.where(durations > 0.0, durations, 1.0)
+    return rates
 
 
 def _check_holding(shares: Array, ends: Array, limits: Array) -> None:
@@ -146,8 +170,8 @@ def slew_inertia(model: Model, posture: Array) -> Array:
 
 
 def motor_speeds(arm: Arm) -> list[float | None]:
-    """Return the largest speed of each motor at its joint, rad/s; None for a motor without a limit of its speed."""
-    return [None if joint.motor is None else joint.motor.joint_speed_limit for joint in arm.joints]
+    """Return the largest speed of each joint, rad/s; None for a joint without a speed limit."""
+    return [joint.speed_limit for joint in arm.joints]
 
 
 def arm_torque_limits(arm: Arm, given: Any = None) -> tuple[float, ...]:
@@ -180,7 +204,8 @@ def derived_settings(arm: Arm, torque_limit: Sequence[float], span: tuple[float,
     The control period is the longest, from 2 to 20 ms, with 40 periods in the first mode with motors held, 25 in the
     median slew and 8 in the fastest vibration of a rotor on its spring. The horizon is four of the longest slews, and
     at least ten periods of the first mode and 5 s. Limits of rates and twists are three times the largest values of
-    slews at the torque limits. The slew time is the median of the slews.
+    slews at the torque limits, without limits of speed. The limit of the angles is 4 rad, or half a radian beyond the
+    ranges of the joints. The slew time is the median of the slews.
 
     Args:
         arm: as in `arm_facts`.
@@ -215,10 +240,7 @@ def wanted_period(facts: ArmFacts) -> float:
 
 def _derived_limits(arm: Arm, torque_limit: Sequence[float], facts: ArmFacts) -> Limits:
     """Return limits of the rates, twists, deflection rates and tip speeds of an arm."""
-    rate, speeds = LIMIT_FACTOR * facts.rate, motor_speeds(arm)
-    if None not in speeds:
-        fastest = max(each for each in speeds if each is not None)
-        rate = max(min(rate, 2.0 * fastest), fastest)
+    rate = LIMIT_FACTOR * facts.torque_rate  # agents without planned motions exceed speed limits
     twists = [
         LIMIT_FACTOR * limit / joint.stiffness
         for limit, joint in zip(torque_limit, arm.joints, strict=True)
@@ -227,7 +249,9 @@ def _derived_limits(arm: Arm, torque_limit: Sequence[float], facts: ArmFacts) ->
     usual = Limits()
     bending = usual.deflection * facts.reach * 2.0 * math.pi * (facts.held[0] if facts.held else 0.0)
     tip = facts.reach * rate
+    angles = [abs(angle) for bounds in arm.angle_ranges if bounds for angle in bounds]
     return Limits(
+        angle=max([usual.angle, *(ANGLE_MARGIN + angle for angle in angles)]),
         rate=_round_up(rate),
         twist=min(usual.twist, _round_up(max(twists))) if twists else usual.twist,
         deflection_rate=_round_up(max(tip, bending)),

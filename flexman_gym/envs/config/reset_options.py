@@ -22,8 +22,8 @@ TOLERANCE = 1e-8  # fraction of the reach; accepted tip error
 def _inverse_kinematics(field: str, position: Array, near: Array, view: View) -> Array:
     """Return motor angles (n,), rad, at which the tip of the arm at rest has a position (3,) in the base frame, m.
 
-    Newton's method begins at `near` and at 24 fixed postures. Of several solutions the one with the smallest sum of
-    squared angle differences from `near` is returned.
+    Newton's method begins at `near` and at 24 fixed postures. Of several solutions within the angle ranges of the
+    joints the one with the smallest sum of squared angle differences from `near` is returned.
 
     Args:
         field: name of the field in the error message.
@@ -32,7 +32,7 @@ def _inverse_kinematics(field: str, position: Array, near: Array, view: View) ->
         view: named quantities of the arms, see `View`. Under gravity the arm at rest is deformed by its nominal weight.
 
     Raises:
-        ValueError: if no initial posture leads to a solution.
+        ValueError: if no initial posture leads to a solution, or to none within the angle ranges.
     """
     starts = near + np.random.default_rng(0).uniform(-np.pi, np.pi, (INITIAL_POSTURES, len(near)))
     found = [angles for start in (near, *starts) if (angles := _solve(position, start, view)) is not None]
@@ -41,8 +41,12 @@ def _inverse_kinematics(field: str, position: Array, near: Array, view: View) ->
         raise value_error(field, position.tolist(), allowed)
     changes = np.array(found) - near
     changes -= 2.0 * np.pi * np.round(changes / (2.0 * np.pi))
-    result: Array = near + changes[np.argmin((changes**2).sum(axis=1))]
-    return result
+    ranges = view.postures
+    within = [angles for change in changes if ranges.contains(angles := ranges.turned_into(near + change))]
+    if not within:
+        allowed = "a position of the tip (m, base frame) that the arm reaches within the angle ranges of its joints"
+        raise value_error(field, position.tolist(), allowed)
+    return min(within, key=lambda angles: float(((angles - near) ** 2).sum()))
 
 
 def _solve(position: Array, start: Array, view: View) -> Array | None:
@@ -90,12 +94,13 @@ def parse_reset_options(
 def replace_tip_positions(parameters: Mapping[str, Array], view: View) -> dict[str, Array]:
     """Return episode parameters with postures (r, n), rad, in place of tip positions (r, 3), m, see TIP_OPTIONS.
 
-    The inverse kinematics of a goal begins at the start posture, the inverse kinematics of a start at zero angles.
+    The inverse kinematics of a goal begins at the start posture, the inverse kinematics of a start at the middle
+    of the angle ranges.
     """
     result = dict(parameters)
     for name, posture in TIP_OPTIONS.items():
         if name in parameters:
-            near = result["start"] if posture != "start" else np.zeros((len(parameters[name]), view.n_joints))
+            near = result["start"] if posture != "start" else np.tile(view.postures.home, (len(parameters[name]), 1))
             pairs = zip(result.pop(name), near, strict=True)
             result[posture] = np.array([_inverse_kinematics(f"options[{name!r}]", *pair, view) for pair in pairs])
     return result

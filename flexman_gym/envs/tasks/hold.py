@@ -37,8 +37,8 @@ class Hold:
             failure        -failure_penalty if the arm exceeded a limit or its simulation diverged, else 0
 
     Start
-        At rest, at motor angles drawn uniformly from [-start, start]. The target is the initial position of the tip.
-        The option "start" of a reset sets the angles.
+        At rest, at motor angles drawn uniformly from [-start, start], around the middle of an `angle_range`. The target
+        is the initial position of the tip. The option "start" of a reset sets the angles.
 
     End
         Truncated after the horizon of the environment; terminated by a failure.
@@ -89,7 +89,7 @@ class Hold:
 
     def draw(self, random: np.random.Generator, view: View) -> dict[str, Array]:
         """Draw the start of one episode, motor angles (n,) in rad."""
-        return {"start": random.uniform(-self.start, self.start, view.n_joints)}
+        return {"start": view.postures.draw_starts(random, self.start)}
 
     def goal(self, parameters: Mapping[str, Array], time: Array, view: View) -> Goal:
         """Return the initial positions of the tips and the initial motor angles as goals."""

@@ -49,7 +49,8 @@ class Slew:
 
     Start
         At rest at motor angles drawn uniformly from [-start, start], deformed only by gravity. The goal posture differs
-        from the start by angles drawn uniformly from [-slew, slew]. The target is the tip position of the arm at rest
+        from the start by angles drawn uniformly from [-slew, slew]. Angles of joints with an `angle_range` are drawn
+        around its middle, and start and goal are within it. The target is the tip position of the arm at rest
         at the goal posture and can therefore always be reached. The options "start" and "goal_angles" of a reset set
         both postures; "start_tip" and "goal_tip" set them by tip positions, see `FlexManEnv`.
 
@@ -100,8 +101,8 @@ class Slew:
         """Draw the start and goal postures (n,), rad, of one episode."""
         if self.pairs:
             random = np.random.default_rng([PAIRS_SEED, int(random.integers(self.pairs))])
-        start = random.uniform(-self.start, self.start, view.n_joints)
-        return {"start": start, "goal_angles": start + random.uniform(-self.slew, self.slew, view.n_joints)}
+        start = view.postures.draw_starts(random, self.start)
+        return {"start": start, "goal_angles": start + view.postures.draw_changes(random, start, self.slew)}
 
     def goal(self, parameters: Mapping[str, Array], time: Array, view: View) -> Goal:
         """Return the goal postures, and the tip positions of the arm at rest at them."""

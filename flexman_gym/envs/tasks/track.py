@@ -103,7 +103,7 @@ def _draw_path(
         ValueError: if the tip of this arm cannot follow a path of this size in two directions.
     """
     for _ in range(TRIES):
-        centres = random.uniform(-max_angle, max_angle, (CENTRES, view.n_joints))
+        centres = view.postures.draw_starts(random, max_angle, (CENTRES,))
         tips, jacobians = _jacobians(view, centres)
         directions, gains, _ = np.linalg.svd(jacobians, full_matrices=False)
         ranks = np.count_nonzero(gains >= MIN_SINGULAR_VALUE * view.reach, axis=1)
@@ -111,12 +111,17 @@ def _draw_path(
             curve = _frame(random, directions[i], ranks[i]).T @ PATH_SHAPES[shape](random, size)
             curve[:, 0] += tips[i]
             postures, error = view.inverse_kinematics(_evaluate_series(curve[None], COLLOCATION_PHASES)[0], centres[i])
-            if error <= ACCURACY * view.reach and np.abs(postures).max() <= MAX_ANGLE:
+            if error <= ACCURACY * view.reach and _allowed(postures, view):
                 if view.has_gravity:
                     points = postures[::SAG_STRIDE]
                     curve += _series(view.rest_tips(points) - view.rigid_tips(points), HARMONICS)
                 return curve, _series(postures, POSTURE_HARMONICS)
     raise value_error("Track.size", size, "m, a path that the tip of this arm can follow in at least two directions")
+
+
+def _allowed(postures: Array, view: View) -> bool:
+    """Return True if motor angles (t, n), rad, are near the middle of the ranges of the joints, and within them."""
+    return bool(np.abs(postures - view.postures.home).max() <= MAX_ANGLE) and view.postures.contains(postures)
 
 
 def _frame(random: np.random.Generator, directions: Array, count: int) -> Array:

@@ -221,16 +221,23 @@ class PDDesign:
         works = next((each for each in shorter_periods(self._period) if self._exists(each)), None)
         margins = f"a gain margin of {MIN_MARGINS.gain:g} and a phase margin of {MIN_MARGINS.phase:g} degrees"
         why = f"no PD at {1e3 * self._period:.6g} ms has {margins}"
-        why += "" if self._is_damped else " on an arm without damping (modal_damping_ratio, or damping of the joints)"
+        why += self._damping_advice()
         allowed = f"{works:g}: {why}; {1e3 * works:g} ms works" if works else f"another arm: {why}, nor at any shorter"
         raise value_error("control_period", self._period, allowed)
 
-    @property
-    def _is_damped(self) -> bool:
-        """True for an arm whose links or springs are damped."""
+    def _damping_advice(self) -> str:
+        """Return the settings of a damping for an arm without one, with 1 % of the critical damping of its rotors."""
         arm = self._environment.arm
+        springs = [each for each in arm.joints if each.stiffness is not None and not each.passive]
         of_links = np.any(arm.modal_damping_ratio) or arm.stiffness_proportional_damping > 0.0
-        return bool(of_links) or any(joint.stiffness is not None and joint.damping for joint in arm.joints)
+        if of_links or any(each.damping for each in springs):
+            return ""
+        critical = [2.0 * np.sqrt((each.stiffness or 0.0) * each.rotor_inertia) for each in springs]
+        names = ["modal_damping_ratio"] * any(link.flexible for link in arm.links)
+        if springs:
+            part = ", ".join(f"{0.01 * each:.2g}" for each in critical)
+            names.append(f"damping of the joints, 1 % of critical: {part} N m s/rad")
+        return f" on an arm without damping ({'; or '.join(names)})"
 
     def _exists(self, period: float) -> bool:
         """Return True if gains with margins exist at a control period, s."""

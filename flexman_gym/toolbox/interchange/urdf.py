@@ -19,6 +19,7 @@ from flexman_gym.common.checks import finite, mapping, non_negative, number_arra
 from flexman_gym.common.errors import short_path, short_repr, value_error, warn_caller
 from flexman_gym.scene.arm import Arm
 from flexman_gym.scene.inertia import Body
+from flexman_gym.scene.joint import LARGEST_RANGE
 from flexman_gym.scene.serialization import find_arm
 from flexman_gym.toolbox.interchange.urdf_file import (
     EXPAND,
@@ -296,8 +297,7 @@ def _check_tip(name: str, expected: Array, given: Array) -> None:
 def _driven(joint: UrdfJoint, turn: Array, extra: dict[str, Any]) -> dict[str, Any]:
     """Return the plain form of a joint, with its axis in the axes of the root; entries of the sidecar take precedence.
 
-    The motor of the sidecar determines the torque limit if it has a limit itself; its speed limit, if absent, is that
-    of the joint.
+    The motor of the sidecar determines the limits of torque and speed that it has itself.
     """
     motor = extra["motor"] if isinstance(extra.get("motor"), dict) else {}
     axis, dynamics = turn @ joint.axis, joint.element.find("dynamics")
@@ -312,10 +312,18 @@ def _driven(joint: UrdfJoint, turn: Array, extra: dict[str, Any]) -> dict[str, A
         extra.get("passive") is True or "torque_limit" in extra or {"current_limit", "voltage_limit"} & motor.keys()
     ):
         plain["torque_limit"] = _bound(joint, "effort")
-    ratio = motor.get("gear_ratio") if "speed_limit" not in motor else None
-    if isinstance(ratio, int | float) and (speed := _bound(joint, "velocity")):
-        extra = extra | {"motor": {"speed_limit": speed * ratio, **motor}}
+    if extra.get("passive") is not True:
+        if "speed_limit" not in motor | extra:
+            plain["speed_limit"] = _bound(joint, "velocity")
+        if "angle_range" not in extra:
+            plain["angle_range"] = _angle_range(joint)
     return plain | extra
+
+
+def _angle_range(joint: UrdfJoint) -> list[float] | None:
+    """Return the range of a revolute joint, rad; None for a continuous joint, and for a range of some turns."""
+    low, high = joint.limit("lower"), joint.limit("upper")
+    return [low, high] if joint.kind == "revolute" and 0.0 < high - low <= LARGEST_RANGE else None
 
 
 def _bound(joint: UrdfJoint, name: str) -> float | None:

@@ -24,10 +24,11 @@ def to_urdf(arm: Arm) -> tuple[str, dict[str, Any]]:
     _add(root, "link", name="base")
     names = ["base", *(f"link_{i}" for i in range(1, arm.n_joints + 1)), "tip"]
     for i, (link, joint) in enumerate(zip(arm.links, arm.joints, strict=True)):
-        element = _add_joint(root, f"joint_{i + 1}", "continuous", names[i : i + 2], place)
+        kind = "revolute" if joint.angle_range else "continuous"
+        element = _add_joint(root, f"joint_{i + 1}", kind, names[i : i + 2], place)
         _add(element, "axis", xyz=_numbers(joint.axis))
-        speed = joint.speed_limit or 0.0
-        _add(element, "limit", effort=repr(joint.torque_limit or 0.0), velocity=repr(speed))
+        ends = dict(zip(("lower", "upper"), map(repr, joint.angle_range or ()), strict=False))
+        _add(element, "limit", effort=repr(joint.torque_limit or 0.0), velocity=repr(joint.speed_limit or 0.0), **ends)
         _add(element, "dynamics", damping=repr(joint.viscous_friction), friction=repr(joint.coulomb_friction))
         turn = np.array(link.orientation)
         _add_body(_add(root, "link", name=names[i + 1]), _body(link).seen_from(turn.T, np.zeros(3)))

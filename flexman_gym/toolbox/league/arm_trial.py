@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from flexman_gym.agent.base_controllers import BASES
 from flexman_gym.envs.config.conditions import condition_for_arm
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.named_environments import DEFAULT_ID
@@ -17,6 +18,7 @@ TRIAL_AGENTS = {"pd-torque": KNOWN, "pd": KNOWN, "lqr-tracking": KNOWN, "adaptiv
 EPISODES, FIRST_EPISODES = 20, 2  # of each controller; of the episodes by which the time of the others is estimated
 TRIAL_SECONDS = 25.0  # CPU time of the episodes of a controller
 TRIAL_SEED = 8000  # seed of the first episode
+TRUE_STATE = "true state"  # entry of `ControllerEntry.information`
 SETTLED = 0.95  # share of settled episodes of a controller that is recommended
 
 
@@ -102,6 +104,11 @@ def choose(trials: Sequence[Trial]) -> tuple[Trial | None, str]:
         return best, f"no controller settles {SETTLED:.0%} of the episodes; this one settles most"
     quickest = min(settling, key=lambda each: each.settling_time)
     reason = f"the quickest of those that settle at least {SETTLED:.0%} of the episodes"
+    measured = [each for each in settling if each.agent not in BASES or TRUE_STATE not in BASES[each.agent].information]
+    if quickest not in measured:
+        reason += f"; it reads the {TRUE_STATE}, which no instrument measures"
+        if measured:
+            reason += f": for a real arm {min(measured, key=lambda each: each.settling_time).agent}"
     unknown = [each for each in trials if each.knows == UNKNOWN and each.settled >= SETTLED]
     if unknown:
         reason += f"; with payload and stiffness unknown take {unknown[0].agent} ({unknown[0].episodes} episodes)"

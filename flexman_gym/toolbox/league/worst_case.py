@@ -7,6 +7,7 @@ import numpy as np
 
 from flexman_gym.common.arrays import Array
 from flexman_gym.envs.config.configuration import Configuration
+from flexman_gym.envs.postures import PostureRanges
 from flexman_gym.envs.tasks import Slew
 from flexman_gym.evaluation.rollouts import rollout
 from flexman_gym.model.model import build_model
@@ -78,8 +79,10 @@ class Box:
         options: dict[str, Any] = {"parameters": self.parameters(points)}
         if self._task is not None:
             start, slew = np.split(points[:, len(self._uncertain.names) :], 2, axis=1)
-            options["start"] = self._task.start * start
-            options["goal_angles"] = options["start"] + self._task.slew * slew
+            ranges = PostureRanges.of(self._model.arm)
+            options["start"] = ranges.home + ranges.start_span(self._task.start) * start
+            low, high = ranges.change_bounds(options["start"], self._task.slew)
+            options["goal_angles"] = options["start"] + np.where(slew < 0.0, -low, high) * slew
         return options
 
 

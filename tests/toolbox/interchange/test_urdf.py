@@ -1,6 +1,7 @@
 """Tests of arms in URDF files: masses and gravity of an independent chain, sidecars, export, and refusals."""
 
 import ast
+import re
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -13,6 +14,7 @@ import flexman_gym as fm
 from flexman_gym.__main__ import main
 from flexman_gym.common.files import write_data
 from flexman_gym.scene.serialization import find_arm, to_plain
+from flexman_gym.toolbox.interchange.urdf_export import to_urdf
 
 from oracles.assertions import refusal
 from oracles.files import ROOT
@@ -140,6 +142,32 @@ def test_what_a_joint_and_a_motor_have(tmp_path):
     assert elbow.speed_limit == pytest.approx(3.0) and arm.gravity == (0.0, 0.0, -9.81)
     limited = read(tmp_path, sidecar={"joints": {"elbow": {"motor": motor | {"current_limit": 2.0}}}})
     assert limited.joints[1].torque_limit == 5.0
+
+
+def test_ranges_and_speeds_of_joints_are_read_and_written(tmp_path):
+    """A continuous joint, and a range of many turns, have no stops; the sidecar takes precedence."""
+    limits = '<limit lower="0.5" upper="2.5" effort="80" velocity="2"/>'
+    text = re.sub(r"<limit [^>]*/>", limits, EXAMPLE, count=1)
+    found = read(tmp_path, text)
+    shoulder, _ = found.joints
+    assert (shoulder.angle_range, shoulder.speed_limit) == ((0.5, 2.5), 2.0) and found.home[0] == 1.5
+    written, sidecar = to_urdf(found)
+    again = read(tmp_path, written, sidecar=sidecar)
+    assert [(each.angle_range, each.speed_limit, each.torque_limit) for each in again.joints] == [
+        (each.angle_range, each.speed_limit, each.torque_limit) for each in found.joints
+    ]
+    del sidecar["joints"]  # the URDF alone has them too
+    assert [each.angle_range for each in read(tmp_path, written).joints] == [each.angle_range for each in found.joints]
+    assert ('type="revolute"' in written) == any(found.angle_ranges)
+    many = read(tmp_path, text.replace('upper="2.5"', 'upper="62.8"')).joints[0]
+    assert many.angle_range is None and many.speed_limit == 2.0
+    endless = read(tmp_path, text.replace('type="revolute"', 'type="continuous"')).joints[0]
+    assert endless.angle_range is None
+    free = {"shoulder": {"angle_range": None, "speed_limit": 9.0}}
+    assert read(tmp_path, text, sidecar={"joints": free}).joints[0].speed_limit == 9.0
+    assert read(tmp_path, text, sidecar={"joints": free}).joints[0].angle_range is None
+    passive = read(tmp_path, text, sidecar={"joints": {"shoulder": {"passive": True}}}).joints[0]
+    assert passive.angle_range is passive.speed_limit is None
 
 
 def test_a_section_replaces_the_body_of_its_link(tmp_path):

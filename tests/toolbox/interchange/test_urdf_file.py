@@ -111,11 +111,16 @@ def test_numbers_that_the_sidecar_replaces_are_not_read(tmp_path):
     """Damping, friction and limits of a joint, and the <inertial> of a link with a section."""
     broken = robot().replace('effort="40"', 'effort="x"').replace('velocity="3"', 'velocity="y"')
     broken = broken.replace("</joint>", '<dynamics damping="a" friction="b"/></joint>', 1).replace('"1.0"', '"-1"', 1)
-    joints = {"j1": {"torque_limit": 40.0, "viscous_friction": 0.0, "coulomb_friction": 0.0}}
+    joints = {"j1": {"torque_limit": 40.0, "speed_limit": 3.0, "viscous_friction": 0.0, "coulomb_friction": 0.0}}
     links = {"a": {"shape": "rod", "diameter": 0.02}}
     expected = read(tmp_path, robot(), sidecar={"links": links, "joints": joints})
     assert read(tmp_path, broken, sidecar={"links": links, "joints": joints}) == expected
-    for entry, field in (("torque_limit", "limit.effort"), ("viscous_friction", "dynamics.damping")):
+    replaced = (
+        ("torque_limit", "limit.effort"),
+        ("speed_limit", "limit.velocity"),
+        ("viscous_friction", "dynamics.damping"),
+    )
+    for entry, field in replaced:
         fewer = {"j1": {name: value for name, value in joints["j1"].items() if name != entry}}
         line = refusal(lambda fewer=fewer: read(tmp_path, broken, sidecar={"links": links, "joints": fewer}))
         assert f"joint 'j1'.{field}: " in line
