@@ -15,7 +15,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _run(options: argparse.Namespace) -> int:
-    """Print one table or JSON document of all agents; return 0."""
+    """Print one table or JSON document of all agents; return 0, or 2 if an agent lacks a package."""
     from flexman_gym.common.formatting import json_text
     from flexman_gym.envs.config.configuration import Configuration
     from flexman_gym.evaluation.agents import common_environment
@@ -29,7 +29,14 @@ def _run(options: argparse.Namespace) -> int:
     agents = {name: load_agent(name, options.trust, named) for name in options.agent}
     environment = common_environment(list(agents.values()), named, options.set)
     seeds = range(options.seed, options.seed + options.episodes)
-    results = {name: rollout(each, environment, seeds) for name, each in agents.items()}
+    results = {}
+    for name, each in agents.items():
+        try:
+            results[name] = rollout(each, environment, seeds)
+        except ImportError as error:
+            if len(agents) == 1 or "pip install" not in str(error):
+                raise
+            print(f"{name} is left out: {error}", file=sys.stderr)
     records = {name: each.records for name, each in results.items()}
     if options.json:
         metrics = {name: all_metrics(each) | {"intervals": median_intervals(each)} for name, each in records.items()}
@@ -43,7 +50,7 @@ def _run(options: argparse.Namespace) -> int:
             f"{len(files)} episodes are in {options.save}; to watch: flexman replay {files[0]} --out page.html",
             file=sys.stderr if options.json else sys.stdout,
         )
-    return 0
+    return 2 * (len(results) < len(agents))
 
 
 EXAMPLES = (

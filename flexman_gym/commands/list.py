@@ -15,6 +15,7 @@ KINDS = (
     "environments", "conditions", "settings", "controllers", "policies", "sensors", "methods", "arms", "recipes",
     "examples",
 )  # fmt: skip
+AGENTS = ("controllers", "policies")  # kinds of the kind "agents"
 MAX_NAME_LENGTH = 30  # characters; the description of a longer name is below it
 PACKAGE_FOLDER = Path(__file__).parents[1]
 EXAMPLE_FOLDERS = (
@@ -25,17 +26,18 @@ EXAMPLE_FOLDERS = (
 
 def _arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command-line arguments."""
-    parser.add_argument("what", nargs="*", metavar="kind", help=f"{', '.join(KINDS)} (default: all)")
+    parser.add_argument("what", nargs="*", metavar="kind", help=f"{', '.join(KINDS)}, or agents (default: all)")
     add_options(parser, "--json")
 
 
 def _run(options: argparse.Namespace) -> int:
     """Print the names of each kind with a short description; return 0."""
-    for what in options.what:
+    given = [kind for what in options.what for kind in (AGENTS if what == "agents" else (what,))]
+    for what in given:
         if what not in KINDS:
             allowed = f"some of {', '.join(KINDS)}{suggestion(what, KINDS)}"
             options.parser.error(f"what: {what} is not allowed; give {allowed}")
-    kinds = options.what or KINDS
+    kinds = given or KINDS
     if options.json:
         print(json_text({what: dict(_entries(what)) for what in kinds}))
         return 0

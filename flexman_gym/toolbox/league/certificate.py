@@ -30,7 +30,7 @@ from flexman_gym.evaluation.policy_files import policy_folder, read_policy
 from flexman_gym.evaluation.rollouts import TEST_SEEDS
 from flexman_gym.toolbox.league.certificate_file import CERTIFICATE
 from flexman_gym.toolbox.league.rows import LIMITED, VALUES, EpisodeRow, run_league
-from flexman_gym.toolbox.league.scenarios import CHANGES, GIVEN, PLANTS, find_scenario
+from flexman_gym.toolbox.league.scenarios import CHANGES, GIVEN, PLANTS, check_mujoco, find_scenario
 from flexman_gym.toolbox.league.worst_case import worst_case
 
 FOLDER = Path("out/certificates")  # rows of the scenarios, in a folder for each policy
@@ -117,6 +117,7 @@ def certify(
 
 def _certificate_scenarios(name: str) -> list[str]:
     """Return the names of the scenarios of a policy: its environment, other simulations of it, and changed arms."""
+    check_mujoco()  # one of the plants; before the episodes of the others
     about, where = read_policy(policy_folder(name) or Path(name)).metadata, _environment_name(name)
     environment = find_scenario(where).environment
     trained = Configuration.from_plain(about["recipe"]["settings"]["environment"])

@@ -28,9 +28,14 @@ def _set_method_plant(batch: Batch) -> None:
     batch.replace_integrator(lambda _: SequentialIntegrator(runs, (batch.control_period, 1)))
 
 
-def _set_mujoco_plant(batch: Batch) -> None:
+def check_mujoco() -> None:
+    """Raise ValueError if MuJoCo is not installed."""
     if find_spec("mujoco") is None:
         raise value_error("plant", "mujoco", "a plant that is installed (pip install mujoco)")
+
+
+def _set_mujoco_plant(batch: Batch) -> None:
+    check_mujoco()
     from flexman_gym.toolbox.interchange.mujoco import MuJoCoSimulator
 
     _set_external_plant(batch, MuJoCoSimulator(batch.model, batch.control_period, len(batch.rows)))
