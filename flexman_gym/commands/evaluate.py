@@ -15,7 +15,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _run(options: argparse.Namespace) -> int:
-    """Print one table or JSON document of all agents; return 0, or 2 if an agent lacks a package."""
+    """Print one table or JSON document of all agents; return 0, or 2 if an agent is left out."""
     from flexman_gym.common.formatting import json_text
     from flexman_gym.envs.config.configuration import Configuration
     from flexman_gym.evaluation.agents import common_environment
@@ -29,28 +29,30 @@ def _run(options: argparse.Namespace) -> int:
     agents = {name: load_agent(name, options.trust, named) for name in options.agent}
     environment = common_environment(list(agents.values()), named, options.set)
     seeds = range(options.seed, options.seed + options.episodes)
-    results = {}
+    results, errors = {}, list[Exception]()
     for name, each in agents.items():
         try:
             results[name] = rollout(each, environment, seeds)
-        except ImportError as error:
-            if len(agents) == 1 or "pip install" not in str(error):
-                raise
-            print(f"{name} is left out: {error}", file=sys.stderr)
+        except (ImportError, ValueError) as error:
+            errors.append(error)
+            if len(agents) > 1:
+                print(f"{name} is left out: {error}", file=sys.stderr)
+    if not results:
+        raise errors[0]
     records = {name: each.records for name, each in results.items()}
     if options.json:
         metrics = {name: all_metrics(each) | {"intervals": median_intervals(each)} for name, each in records.items()}
         about = {"environment": environment.to_plain(), "seed": options.seed, "episodes": options.episodes}
         print(json_text(about | {"agents": metrics}))
     else:
-        print(metrics_table(records, environment))
+        print(metrics_table(records, environment, name=options.env if options.env and not options.set else ""))
     if options.save is not None:
         files = save_rollouts([*results.values()], options.save)
         print(
             f"{len(files)} episodes are in {options.save}; to watch: flexman replay {files[0]} --out page.html",
             file=sys.stderr if options.json else sys.stdout,
         )
-    return 2 * (len(results) < len(agents))
+    return 2 * bool(errors)
 
 
 EXAMPLES = (

@@ -6,6 +6,7 @@ and as a table.
 """
 
 import argparse
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -49,7 +50,8 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
         help="area of link 1: as printed in Table 1, or a tenth of it, which is possible (default: %(default)s)",
     )
     parser.add_argument(
-        "--method", default=METHOD, help="integration method, see flexman list methods (default: %(default)s)"
+        "--method",
+        help=f"integration method, see flexman list methods (default: {METHOD}; with a step that of environments)",
     )
     parser.add_argument("--step", type=float, metavar="S", help="step, s, for a method with fixed steps")
     parser.add_argument(
@@ -58,13 +60,21 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _run(options: argparse.Namespace) -> int:
-    """Simulate, print and write the figures; return 0, or 1 if a simulation fails before its end."""
-    trajectories = simulate_cases(options.area, options.method, options.step)
+    """Simulate, print and write the figures; return 0, or 1 without figures if a simulation fails before its end."""
+    from flexman_gym.simulation.methods import DEFAULT_METHOD
+
+    method = options.method or (METHOD if options.step is None else DEFAULT_METHOD)
+    trajectories = simulate_cases(options.area, method, options.step)
+    failed = {PAPER_CASES[case]: each for case, each in trajectories.items() if each.status != "ok"}
+    for name, each in failed.items():
+        print(f"no figures: {name}: {each.explanation()}", file=sys.stderr)
+    if failed:
+        return 1
     print_largest(trajectories, options.figure)
     rigid, flexible_links, flexible_both = trajectories.values()
     paths = paper_figures(rigid, flexible_links, flexible_both, options.folder, options.figure)
     print(f"{options.folder}: {', '.join(path.name for path in paths)}; figure_*.csv have the curves")
-    return int(any(each.status != "ok" for each in trajectories.values()))
+    return 0
 
 
 def simulate_cases(area: str = "printed", method: str = METHOD, step: float | None = None) -> dict[str, "Trajectory"]:

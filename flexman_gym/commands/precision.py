@@ -38,14 +38,21 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
 
 def _run(options: argparse.Namespace) -> int:
     """Run the scene, print a table or JSON document and draw the chart; return 0."""
+    from flexman_gym.simulation.diagnostics import explain_bending
+    from flexman_gym.simulation.scene_simulation import simulate
     from flexman_gym.toolbox.precision.charts import conclusion, draw_scenes, front_of
-    from flexman_gym.toolbox.precision.scene_runs import our_rows, peer_timers, precision_scene
+    from flexman_gym.toolbox.precision.scene_runs import default_run, our_rows, peer_timers, precision_scene
 
     scene = load_scene(options.scene)
     result = precision_scene(scene, Path(options.scene).stem)
     floor = result.reference.floor
     table = sys.stderr if options.json else sys.stdout
-    print(f"reference: {result.reference.source}; its error is about {1e3 * floor:.2g} mm", file=table)
+    print(
+        f"reference: {result.reference.source}; its error of mesh and steps is about {1e3 * floor:.2g} mm", file=table
+    )
+    model, method, step = default_run(scene)
+    if bending := explain_bending(model, simulate(scene, model, method, step).states):
+        print(f"! {bending}", file=sys.stderr)
     rows = list(our_rows(result, _methods(options.method), options.step))
     timers, left_out = ([], []) if options.own else peer_timers(result)
     rows += [timer() for timer in timers]

@@ -8,8 +8,6 @@ import numpy as np
 from flexman_gym.common.arrays import Array
 from flexman_gym.common.formatting import WIDTH, millimetres, number_text, percent, text_table
 from flexman_gym.envs.config.configuration import Configuration
-from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS, condition_names
-from flexman_gym.envs.registration import NOMINAL
 from flexman_gym.evaluation.metrics import MEDIAN, SHARE, Metric, limit_metrics, task_metrics
 from flexman_gym.evaluation.rollouts import EpisodeRecord
 from flexman_gym.evaluation.shares import share_text
@@ -24,7 +22,7 @@ ALL_SEEDS = "all seeds"  # name of the row over all training runs
 
 
 def metrics_table(
-    results: Mapping[str, Sequence[EpisodeRecord]], environment: Configuration, all_seeds: bool = False
+    results: Mapping[str, Sequence[EpisodeRecord]], environment: Configuration, all_seeds: bool = False, name: str = ""
 ) -> str:
     """Return a table, as text, with the metrics of the task and one row for each agent.
 
@@ -33,6 +31,7 @@ def metrics_table(
         environment: environment of the episodes.
         all_seeds: True if the agents are training runs that differ in the seed of the training. A last row then has the
             metrics over all runs, with intervals that contain the spread between the runs, see `median_interval`.
+        name: name of the environment in the title; "" for its id with the names of changed settings.
 
     Returns:
         Lines of text of at most 100 characters: title, headers, one row for each agent, and a caption.
@@ -40,7 +39,7 @@ def metrics_table(
     first = next(iter(results.values()))
     metrics = (*task_metrics(environment.task), *limit_metrics(first[0]))
     columns = [each for each in metrics if each.name not in LEFT_OUT]
-    title = f"{len(first)} episodes of {_environment_text(environment)}, the same for all"
+    title = f"{len(first)} episodes of {name or _environment_text(environment)}, the same for all"
     within = f"in {1e3 * first[0].band:.3g} mm"
     headers = ["agent", *(within if metric.name == "settled" else metric.header for metric in columns)]
     values = {metric: [metric.values(records) for records in results.values()] for metric in columns}
@@ -55,13 +54,9 @@ def metrics_table(
 
 
 def _environment_text(environment: Configuration) -> str:
-    """Return the id of an environment with its condition, or with the names of its changed settings."""
-    usual = environment.without(["method"]) if environment.method == DEFAULT_METHOD else environment
-    conditions = condition_names(environment.id) if environment.id in NAMED_ENVIRONMENTS else ()
-    for each in conditions:
-        if each != NOMINAL and Configuration.find(f"{environment.id}/{each}") == usual:
-            return f"{environment.id}/{each}"
-    return f"{environment.id} ({', '.join(sorted(usual.given)) or 'default settings'})"
+    """Return the id of an environment with the names of its changed settings."""
+    settings = environment.given.keys() - ({"method"} if environment.method == DEFAULT_METHOD else set())
+    return f"{environment.id} ({', '.join(sorted(settings)) or 'default settings'})"
 
 
 def _cell(metric: Metric, values: Array) -> str:

@@ -61,6 +61,32 @@ def explain_failure(
     return f"the simulation {status}: the first quantity out of bounds is {first.name}, {size}. Try {advice}."
 
 
+def explain_bending(model: Model, states: Array) -> str:
+    """Return a sentence on the link that bends most if it bends by more than a tenth of its length, with remedies.
+
+    Args:
+        model: the model.
+        states: (r, 2 d) states of a motion.
+
+    Returns:
+        One or two sentences, or "" for small deflections.
+    """
+    ratios, lengths = np.zeros(model.n_joints), model.constants.length
+    for i in np.flatnonzero(lengths > 0.0):
+        columns, elastic = model.elastic_columns(i), model.constants.elastic_start
+        shapes = model.constants.tip_translation[elastic[i] : elastic[i + 1], 1:]
+        ratios[i] = np.linalg.norm(states[:, columns] @ shapes, axis=1).max(initial=0.0) / lengths[i]
+    i = int(np.argmax(ratios))
+    if ratios[i] <= STIFFENING_DEFLECTION:
+        return ""
+    remedies = ["stiffening=True"] * (not model.choice.stiffening)
+    remedies.append("stiffer links or smaller loads; the error of the model grows with the square of the bending")
+    return (
+        f"link {i + 1} bends by up to {ratios[i]:.0%} of its length; beyond {STIFFENING_DEFLECTION:.0%} a model of "
+        f"small deflections is inaccurate. Try {'; or '.join(remedies)}."
+    )
+
+
 def explain_energy(model: Model, integrator: Integrator, step: float, time: float, states: Array) -> str:
     """Return sentences with the coordinate of the largest vibration energy up to an energy alarm and with remedies.
 

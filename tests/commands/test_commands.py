@@ -5,6 +5,7 @@ import json
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -17,6 +18,7 @@ from flexman_gym.agent.base_controllers import BASES
 from flexman_gym.commands import load_scene
 from flexman_gym.commands.list import KINDS
 from flexman_gym.commands.optimise import PURPOSES
+from flexman_gym.common.registry import REGISTERED
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.envs.config.settings import SETTINGS
@@ -133,6 +135,49 @@ def test_examples_are_listed_with_their_paths_and_a_sentence(capsys):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("condition", ["unknown-lab", "friction"])
+def test_the_title_of_an_evaluation_has_the_condition(condition, capsys):
+    words = ["evaluate", "zero", "--env", f"FlexRRR-v0/{condition}", "--episodes", "1"]
+    assert main(words) == 0
+    assert capsys.readouterr().out.startswith(f"1 episodes of FlexRRR-v0/{condition}, the same for all")
+    assert main([*words, "--set", "horizon=1.0"]) == 0
+    assert f"FlexRRR-v0/{condition}," not in capsys.readouterr().out
+
+
+def test_a_refused_agent_is_left_out_of_the_table(capsys):
+    words = ["evaluate", "adaptive-lqr", "zero", "--env", "FlexGantry-v0", "--episodes", "1"]
+    assert main(words) == 2
+    printed = capsys.readouterr()
+    assert printed.err.startswith("adaptive-lqr is left out: base: ") and "zero " in printed.out
+
+
+def test_an_agent_without_its_package_is_left_out_of_the_table(monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "daqp", None)
+    assert main(["evaluate", "zero", "mpc", "--env", "FlexOne-v0", "--episodes", "1"]) == 2
+    printed = capsys.readouterr()
+    assert "zero " in printed.out and "mpc " not in printed.out
+    assert printed.err.splitlines()[-1].startswith("mpc is left out: ") and "pip install" in printed.err
+    assert main(["evaluate", "mpc", "--env", "FlexOne-v0", "--episodes", "1"]) == 2
+    assert "left out" not in capsys.readouterr().err
+
+
+def test_an_error_in_a_file_of_the_user_has_its_line(tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv(REGISTERED, "{}")  # restored afterwards: the file is registered for later processes
+    path = tmp_path / "mine.py"
+    path.write_text("import numpy as np\n\n\ndef make(plant):\n    return np.linalg.inv(np.zeros((2, 2)))\n")
+    assert main(["evaluate", str(path), "--env", "FlexOne-v0", "--episodes", "1"]) == 2
+    assert capsys.readouterr().err.splitlines()[-1] == "mine.py, line 5: LinAlgError: Singular matrix"
+    assert main(["evaluate", "pd", "--env", "FlexOne-v9"]) == 2
+    assert "line" not in capsys.readouterr().err
+
+
+def test_agents_are_listed_as_controllers_and_policies(capsys):
+    assert main(["list", "agents"]) == 0
+    together = capsys.readouterr().out
+    assert main(["list", "controllers", "policies"]) == 0
+    assert together == capsys.readouterr().out
+
+
 def test_simulate_keeps_the_motion_as_a_table(tmp_path, capsys):
     out = tmp_path / "motion.csv"
     assert main(["simulate", SCENE, "--method", "dop853", "--rtol", "1e-8", "--out", str(out)]) == 0
@@ -145,6 +190,21 @@ def test_simulate_keeps_the_motion_as_a_table(tmp_path, capsys):
     assert rows[:, -1] == pytest.approx(expected.energy, rel=1e-10, abs=1e-10)
     said = capsys.readouterr().out
     assert said.startswith(f"status: ok, to {expected.time[-1]:g} s") and "largest residual" in said
+
+
+def test_simulate_warns_of_large_bending_and_of_a_residual_of_the_energy(tmp_path, capsys):
+    """Aluminium links under the torques of the paper bend by a third of their length."""
+    scene = fm.catalog.paper_scene("ff")
+    soft = [replace(link, youngs_modulus=70e9, shear_modulus=26e9, density=2700.0) for link in scene.arm.links]
+    path = tmp_path / "soft.yaml"
+    replace(scene, arm=replace(scene.arm, links=soft)).save(path)
+    assert main(["simulate", str(path)]) == 0
+    (line,) = capsys.readouterr().err.splitlines()[-1:]
+    assert re.match(r"! link 2 bends by up to 3\d% of its length; .*Try stiffening=True", line)
+    assert main(["simulate", str(path), "--method", "midpoint_corrected_3", "--step", "0.005"]) == 0
+    lines = capsys.readouterr().err.splitlines()[-2:]
+    assert lines[0].startswith("! the energy residual exceeds 1 %") and " bends by up to " in lines[1]
+    assert main(["simulate", "paper_rr"]) == 0 and capsys.readouterr().err == ""
 
 
 @pytest.mark.parametrize("case", ["rr", "fr", "ff"])
@@ -162,8 +222,9 @@ def test_a_simulation_that_diverges_ends_with_1(capsys):
 def test_choose_says_model_method_error_and_what_was_left_out(capsys):
     assert main(["choose", str(REFERENCE / "paper_rr.json"), "--tolerance", "0.01"]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert lines[0].startswith("method: ") and lines[1] == "coordinates: 3"
-    assert 0.0 < float(lines[2].split(": ")[1].split()[0]) <= 10.0
+    assert lines[0].startswith("method: ") and lines[2] == "coordinates: 3"
+    assert lines[1].startswith("model: elements=") and lines[1].endswith("stiffening=False")
+    assert 0.0 < float(lines[3].split(": ")[1].split()[0]) <= 10.0
 
 
 @pytest.mark.slow
@@ -173,7 +234,9 @@ def test_precision_charts_a_scene_with_the_default(tmp_path, monkeypatch, capsys
     scene = str(REFERENCE / "paper_ff.json")
     assert main(["precision", scene, "--method", "gauss_3", "--step", "0.02", "--own", "--all"]) == 0
     first, head, *lines, last, picture = capsys.readouterr().out.splitlines()
-    assert first.startswith("reference: 4 elements a link, foreshortening, gauss_3; its error is about 0.")
+    assert first.startswith(
+        "reference: 4 elements a link, foreshortening, gauss_3; its error of mesh and steps is about 0."
+    )
     assert head.split()[:2] == ["model", "method"]
     assert [line.split()[-1] for line in lines].count("default") == 1 and "midpoint_corrected_3" in lines[0]
     mesh = [line.split() for line in lines if line.startswith("2 elements a link, foreshortening gauss_3")]

@@ -8,6 +8,7 @@ import pytest
 import flexman_gym as fm
 from flexman_gym.__main__ import main
 from flexman_gym.commands import paper
+from flexman_gym.simulation.methods import DEFAULT_METHOD
 
 pytest.importorskip("matplotlib")
 CASES = ("rr", "fr", "ff")
@@ -48,12 +49,25 @@ def test_figures_are_those_of_the_simulated_cases(area, tmp_path, capsys):
 
 
 @pytest.mark.slow
-def test_a_case_that_diverges_ends_with_1_and_is_drawn(tmp_path, capsys):
+def test_a_case_that_diverges_ends_with_1_and_its_cause_without_figures(tmp_path, capsys):
     words = ["--method", "rk4", "--step", "0.005", "--figure", "6", "--folder", str(tmp_path)]
     assert main(["paper", *words]) == 1
-    lines = capsys.readouterr().out.splitlines()
-    assert " ok " in lines[2] and all(" diverged " in line for line in lines[3:5])
-    assert len((tmp_path / "figure_06.csv").read_text().splitlines()) < 202
+    printed = capsys.readouterr()
+    lines, causes = printed.out.splitlines(), printed.err.splitlines()
+    assert " ok " in lines[2] and all(" diverged " in line for line in lines[3:5]) and not lines[5:]
+    assert [line.startswith("no figures: flexible links") and "Try a step of" in line for line in causes] == [
+        True,
+        True,
+    ]
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.slow
+def test_a_step_alone_is_that_of_the_default_method(tmp_path, capsys):
+    assert main(["paper", "--step", "0.005", "--figure", "6", "--folder", str(tmp_path)]) == 0
+    trajectory = fm.simulate(fm.catalog.paper_scene("ff"), method=DEFAULT_METHOD, step=0.005)
+    residual = np.abs(trajectory.energy_residual).max()
+    assert f"{residual:.1e} J" in capsys.readouterr().out.splitlines()[4]
 
 
 @pytest.mark.parametrize(("words", "line"), [

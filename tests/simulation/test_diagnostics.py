@@ -8,6 +8,7 @@ import pytest
 
 import flexman_gym as fm
 from flexman_gym.kernels import layout
+from flexman_gym.simulation.diagnostics import explain_bending
 from flexman_gym.simulation.stability import NEGLIGIBLE_GROWTH, stability_limit
 
 HUB = fm.Joint((0.0, 0.0, 1.0), 1.0)
@@ -66,6 +67,23 @@ def test_a_link_that_is_spun_past_its_first_frequency_is_told_of_foreshortening(
     without = fm.simulate(scene(replace(ARM, links=[thin, thin]), rates=rates), method="rk4", step=1e-3)
     assert without.status == "diverged" and "stiffening=True" in without.explanation()
     assert "stiffening" not in fm.simulate(scene(torque=(0.1, 0.1)), method="rk4", step=1e-3).explanation()
+
+
+@pytest.mark.parametrize("share", [0.09, 0.11, 0.5])
+def test_a_link_that_bends_by_more_than_a_tenth_of_its_length_is_named(share):
+    """The tip of a clamped link under a tip force F moves by F L^3 / (3 E I): one element is exact."""
+    for stiffening in (False, True):
+        model = fm.build_model(ARM, 1, stiffening=stiffening)
+        states = np.zeros((2, 2 * model.n_dof))
+        shapes = model.constants.tip_translation[model.constants.elastic_start[1] :, 1]
+        columns = model.elastic_columns(1)
+        states[1, columns] = share * BEAM.length * shapes / (shapes @ shapes)
+        text = explain_bending(model, states)
+        assert (text == "") == (share < 0.1)
+        if text:
+            assert text.startswith(f"link 2 bends by up to {share:.0%} of its length; beyond 10% ")
+            assert ("Try stiffening=True; or " in text) != stiffening
+    assert explain_bending(fm.build_model(ARM, flexible_links=False), np.zeros((1, 4))) == ""
 
 
 @pytest.mark.parametrize(("part", "advised"), [(0.45, False), (0.55, True)])

@@ -61,9 +61,11 @@ def try_agents(environment: Configuration, agents: Mapping[str, str] | None = No
 
     Args:
         environment: environment of the arm.
-        agents: name -> KNOWN or UNKNOWN; None for TRIAL_AGENTS.
+        agents: name -> KNOWN or UNKNOWN; None for TRIAL_AGENTS, and the PD with an input shaper for a hanging load.
     """
-    for agent, knows in (TRIAL_AGENTS if agents is None else agents).items():
+    hanging = any(joint.passive for joint in environment.arm.joints)
+    usual = TRIAL_AGENTS | ({"pd-shaped": KNOWN} if hanging else {})
+    for agent, knows in (usual if agents is None else agents).items():
         known = environment if knows == KNOWN else environment.replace(**unknown_settings(environment))
         start = process_time()
         try:

@@ -326,7 +326,8 @@ def _under_conditions(name: str, baselines: Sequence[Baseline]) -> list[str]:
         return []
     text = paragraph(
         f"Settled episodes and median settling time under conditions, {episodes_text(rows)}; one column by",
-        f"`flexman league --agents {' '.join(AGENTS[each] for each in names)} --scenarios {name}/{conditions[0]}`:",
+        f"`flexman league --agents {' '.join(AGENTS[each] for each in names)} --scenarios {name}/{conditions[0]}`.",
+        "Controllers are designed for the arm of a condition, also for its rope, and for the middle of drawn payloads:",
     )
     return [*text, "", *markdown_table(("baseline", *(f"`{each}`" for each in conditions)), cells), ""]
 

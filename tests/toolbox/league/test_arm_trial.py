@@ -31,6 +31,21 @@ def test_the_quickest_controller_that_settles_is_recommended(trials, chosen):
     assert ("adaptive" in reason) == (chosen == "quick")
 
 
+def test_a_recommended_controller_that_reads_the_true_state_has_a_measured_one_beside_it():
+    trials = [Trial("lqr-tracking", KNOWN, 20, 1.0, 1.0), Trial("pd", KNOWN, 20, 1.0, 3.0)]
+    found, reason = choose(trials)
+    assert found.agent == "lqr-tracking" and "reads the true state" in reason and "for a real arm pd" in reason
+    assert "for a real arm" not in choose(trials[:1])[1] and "true state" not in choose(trials[1:])[1]
+
+
+def test_the_shaper_is_tried_on_a_hanging_load(monkeypatch):
+    monkeypatch.setattr(arm_trial, "EPISODES", 2)
+    monkeypatch.setattr(arm_trial, "TRIAL_AGENTS", {})
+    (found,) = try_agents(Configuration("FlexCrane-v0", {"horizon": 1.0}))
+    assert found.agent == "pd-shaped" and not found.refusal and found.episodes == 2
+    assert list(try_agents(Configuration("FlexOne-v0"))) == []
+
+
 def test_an_unknown_arm_has_payload_stiffness_delay_and_the_sensors_of_a_laboratory():
     environment = Configuration("FlexPlanar-v0")
     heavy = environment.replace(arm=replace(environment.arm, payload=replace(environment.arm.payload, mass=0.3)))
