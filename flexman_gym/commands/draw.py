@@ -154,12 +154,18 @@ def _side(options: argparse.Namespace, out: Path) -> list[Path]:
     from flexman_gym.toolbox.view.comparison import side_by_side
     from flexman_gym.toolbox.view.video import write_video
 
-    size, rate, seconds, hold = GIF if out.suffix == ".gif" else VIDEO
-    frames = side_by_side([Episode.load(path) for path in options.subject], size, rate, seconds, hold)
-    return [write_video(frames, out, rate)]
+    episodes = [Episode.load(path) for path in options.subject]
+    size, rate, seconds, hold = VIDEO
+    if out.suffix == ".gif":
+        size, rate, seconds, hold = GIF
+        seconds = min(seconds, max(float(each.time[-1]) for each in episodes))
+        rate = min(rate, 100.0 / math.ceil(100.0 * seconds / GIF_FRAMES))  # GIFs count hundredths of a second
+    return [write_video(side_by_side(episodes, size, rate, seconds, hold), out, rate)]
 
 
-GIF, VIDEO = ((480, 360), 10.0, 5.0, 2.0), ((1280, 720), 50.0, math.inf, 0.0)  # arguments of `side_by_side`
+# size (pixels), frames per second, longest motion (s) and still end (s) of `side_by_side`
+GIF, VIDEO = ((480, 360), 10.0, 20.0, 2.0), ((1280, 720), 50.0, math.inf, 0.0)
+GIF_FRAMES = 80  # frames of the motion in a GIF
 PLOTS: dict[str, Callable[[argparse.Namespace, Path], list[Path]]] = {
     "modes": _modes, "map": _map, "bode": _bode, "campbell": _campbell, "learning": _learning, "league": _league,
     "robustness": _league, "episode": _episode, "side": _side,

@@ -15,6 +15,7 @@ from flexman_gym.toolbox.view.frames import MARGINS, FramePainter
 from flexman_gym.toolbox.view.overlay import WARNING, describe_frame, font_size, write_text
 
 COLOURS = (BLUE, RED, GREEN, VIOLET)
+CROWDED = 3  # number of panels from which their heads have no room for the time and for words
 MAX_FRAMES = 3000  # frames of a video, 8 GB of 1280 x 720 pixels
 VIEW_STATES, LINK_POINTS = 120, 4  # number of states of an episode, and of points on a link, that the camera shows
 STRIP_SHARE = 0.26  # height of the strip chart / height of the picture
@@ -138,7 +139,8 @@ class _Panels:
             trail = episode.tips[: row + 1] + bases[: row + 1]
             part[:] = painter.paint(episode.states[row], target, trail=trail, shot=shot, base=bases[row])
             self._write_head(picture, k, float(episode.errors[row]))
-        write_text(picture, f"t {time:.2f} s", (-self._font, self._font // 2), self._font)
+        if len(self._episodes) < CROWDED or self._strip is None:  # the strip chart has the time too
+            write_text(picture, f"t {time:.2f} s", (-self._font, self._font // 2), self._font)
         self._write_note(picture)
         if self._strip is not None:
             strip = self._strip.at(time)
@@ -150,7 +152,8 @@ class _Panels:
         left, top = k * self._painters[k].size[0] + self._font, self._font // 2
         write_text(picture, self._episodes[k].name, (left, top), self._font, COLOURS[k])
         if np.isfinite(error):
-            text = f"tip error {error:.2f} m" if error >= 1.0 else f"tip error {1e3 * error:.1f} mm"
+            text = f"{error:.2f} m" if error >= 1.0 else f"{1e3 * error:.{1 if error < 0.1 else 0}f} mm"
+            text = f"{'tip error ' * (len(self._episodes) < CROWDED)}{text}"
             write_text(picture, text, (left, top + self._line), self._font)
 
     def _write_note(self, picture: Picture) -> None:

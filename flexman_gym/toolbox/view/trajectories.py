@@ -111,6 +111,8 @@ class _RecordedEpisode(Protocol):
 def draw_episodes(records: Mapping[str, _RecordedEpisode], path: Path) -> None:
     """Plot tip error and commanded torques of one episode of each agent over time.
 
+    Motors without a torque in all episodes, such as passive joints, have no panel.
+
     Args:
         records: name of an agent -> its episode.
         path: path of the picture.
@@ -119,21 +121,22 @@ def draw_episodes(records: Mapping[str, _RecordedEpisode], path: Path) -> None:
         ImportError: without Matplotlib.
     """
     first = next(iter(records.values()))
-    joints, band = first.actions.shape[1], first.band
-    figure = new_figure((10.0, 3.6 + 1.3 * joints), 110.0, layout="constrained")
-    axes = figure.subplots(1 + joints, 1, sharex=True, height_ratios=[3.0, *[1.0] * joints])
+    band, every = first.band, range(first.actions.shape[1])
+    driven = [joint for joint in every if any(each.actions[:, joint].any() for each in records.values())] or [*every]
+    figure = new_figure((10.0, 3.6 + 1.3 * len(driven)), 110.0, layout="constrained")
+    axes = figure.subplots(1 + len(driven), 1, sharex=True, height_ratios=[3.0, *[1.0] * len(driven)])
     for (name, record), colour in zip(records.items(), COLOURS, strict=False):
         times = record.period * np.arange(len(record.errors))
         axes[0].semilogy(times, np.maximum(record.errors, MIN_ERROR), color=colour, linewidth=1.5, label=name)
-        for joint in range(joints):
-            axes[1 + joint].step(times[1:], record.actions[:, joint], color=colour, linewidth=1.0, where="pre")
+        for panel, joint in zip(axes[1:], driven, strict=True):
+            panel.step(times[1:], record.actions[:, joint], color=colour, linewidth=1.0, where="pre")
     axes[0].axhline(band, color=DARK, linewidth=0.8, linestyle="--")
     axes[0].text(0.1, 1.15 * band, f"{1e3 * band:.3g} mm", fontsize=8, color=DARK)
     axes[0].set_ylim(bottom=MIN_ERROR)
     axes[0].set_ylabel("distance of the tip from its target (m)")
     axes[0].legend(frameon=False, ncols=6, fontsize=9, loc="lower right", bbox_to_anchor=(1.0, 1.0))
-    for joint in range(joints):
-        axes[1 + joint].set(ylabel=f"motor {joint + 1}", ylim=(-1.08, 1.08))
+    for panel, joint in zip(axes[1:], driven, strict=True):
+        panel.set(ylabel=f"motor {joint + 1}", ylim=(-1.08, 1.08))
     axes[-1].set_xlabel("time (s); torques as fractions of their limits")
     for each in axes:
         each.grid(color=LIGHT, linewidth=0.6)
