@@ -3,7 +3,7 @@ TORCH := torch==2.13.0
 RUN := .venv/bin/python -m
 CODE := flexman_gym agents scripts
 
-.PHONY: demo test kernels quick lint site notebooks pages bundle verify wheel wheels publishable clients evidence clean
+.PHONY: demo test long kernels quick lint site notebooks pages bundle verify wheel wheels publishable clients evidence clean
 
 demo: .venv/installed
 	.venv/bin/flexman demo
@@ -11,7 +11,11 @@ demo: .venv/installed
 # Two processes, each of which needs a core: kernels of both come from one cache. A file of tests stays with one of them,
 # so that no kernel is compiled by both at once.
 test: lint kernels
-	$(RUN) pytest -n 2 --dist loadfile -m "not evidence"
+	$(RUN) pytest -n 2 --dist loadfile --durations=20 -m "not evidence and not long"
+
+# The tests that take seconds each (tests/long_tests.txt), before a release and after a change of their subject.
+long: kernels
+	$(RUN) pytest -n 2 --durations=20 -m "long and not evidence"
 
 kernels: .venv/installed
 	.venv/bin/python scripts/kernel_uses.py

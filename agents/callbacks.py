@@ -22,6 +22,7 @@ from flexman_agents.settings import Schedule, Settings
 from flexman_gym.agent.agent import Law
 from flexman_gym.common.checks import is_decimal_integer
 from flexman_gym.common.files import write_atomically
+from flexman_gym.common.progress import Progress
 from flexman_gym.common.tables import read_csv_rows
 from flexman_gym.evaluation.agent_info import CPU_COLUMN
 from flexman_gym.evaluation.agent_spec import AgentSpec, split_interface
@@ -167,6 +168,26 @@ class Exploration(BaseCallback):
             self.model.policy.log_std.fill_(value)  # type: ignore[operator]
 
     def _on_step(self) -> bool:
+        return True
+
+
+class ProgressLines(BaseCallback):
+    """Lines of progress every 10 s, where no progress bar can be drawn, such as in a file.
+
+    Args:
+        steps: environment steps of the run.
+    """
+
+    def __init__(self, steps: int) -> None:
+        super().__init__()
+        self._steps = steps
+
+    def _on_training_start(self) -> None:
+        self._first = self.model.num_timesteps  # of a resumed run
+        self._progress = Progress("steps", self._steps - self._first)
+
+    def _on_step(self) -> bool:
+        self._progress.reach(self.num_timesteps - self._first)
         return True
 
 

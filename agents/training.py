@@ -21,6 +21,7 @@ from flexman_agents.callbacks import (
     Exploration,
     Hook,
     Interrupted,
+    ProgressLines,
     TrainingReport,
     ValueWarmup,
     open_logger,
@@ -450,7 +451,10 @@ class _Run:
             callbacks.append(ValueWarmup(settings.value_warmup))
         if self._evaluation:
             callbacks.append(self._evaluation)
-        keywords: dict[str, Any] = {"progress_bar": progress, "reset_num_timesteps": False}
+        bar = progress and sys.stderr.isatty()
+        if progress and not bar:
+            callbacks.append(ProgressLines(settings.steps))
+        keywords: dict[str, Any] = {"progress_bar": bar, "reset_num_timesteps": False}
         if isinstance(model, OffPolicyAlgorithm):
             keywords["log_interval"] = settings.envs  # in episodes; the episodes of all arms end together
         with stop_on_interrupt() as stop_requested:

@@ -52,8 +52,21 @@ def pytest_ignore_collect(collection_path, config):
     return True if parts and parts[0] not in CORE else None
 
 
+def long_tests():
+    """Return the tests with the marker `long`: names of files, tests, or tests with parameters."""
+    path = Path(__file__).parent / "long_tests.txt"
+    lines = path.read_text(encoding="utf-8").splitlines() if path.is_file() else []
+    return [line for line in lines if line and not line.startswith("#")]
+
+
+@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config, items):
-    """Deselect tests with the marker `feature` in a run of the core."""
+    """Mark the long tests, and deselect tests with the marker `feature` in a run of the core."""
+    names = set(long_tests())
+    for item in items:
+        whole, (file, _, _) = item.nodeid.removeprefix("tests/"), item.nodeid.removeprefix("tests/").partition("::")
+        if names & {whole, whole.partition("[")[0], file}:
+            item.add_marker("long")
     if config.getoption("--core"):
         chosen = [item for item in items if not item.get_closest_marker("feature")]
         config.hook.pytest_deselected(items=[item for item in items if item not in chosen])

@@ -53,10 +53,10 @@ def _find_model(name: str, stiffening: bool = False) -> "Model":
     from flexman_gym.envs.config.configuration import Configuration
     from flexman_gym.envs.config.fidelity import resolve_fidelity
     from flexman_gym.model.model import build_model
-    from flexman_gym.scene.serialization import ARMS, SUFFIXES, find_arm
+    from flexman_gym.scene.serialization import ARMS, SUFFIXES, URDF, find_arm
 
     data = files.read_data(Path(name)) if name.endswith(SUFFIXES) else {}
-    if name in ARMS or "arm" in data or "links" in data:
+    if name in ARMS or name.endswith(URDF) or {"arm", "links", "urdf"} & set(data):
         return build_model(find_arm(name), stiffening=stiffening)
     model = resolve_fidelity(Configuration.find(name)).model
     return build_model(model.arm, **vars(model.choice) | {"stiffening": stiffening}) if stiffening else model

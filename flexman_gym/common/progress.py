@@ -23,8 +23,11 @@ class Progress:
 
     def count(self) -> None:
         """Count one finished item."""
-        self._done += 1
-        now = monotonic()
+        self.reach(self._done + 1)
+
+    def reach(self, done: int) -> None:
+        """Report a number of finished items."""
+        self._done, now = done, monotonic()
         if now - self._last < INTERVAL or self._done == self._total or os.environ.get("FLEXMAN_QUIET"):
             return
         self._last, elapsed = now, now - self._start

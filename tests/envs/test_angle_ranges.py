@@ -120,3 +120,15 @@ def test_speed_limits_lengthen_slews_and_do_not_end_episodes():
     (line,) = (line for line in describe(slow).warnings if "speed limits" in line)
     assert f"reach {found[1].torque_rate:.3g} rad/s, joint 1 allows 0.05 rad/s" in line
     assert not any("speed limits" in line for line in describe(free).warnings)
+
+
+def test_a_rotor_without_its_gear_ratio_is_named():
+    """Rotors of geared arms have at least a ten-thousandth of the inertia about their joint."""
+    arm = fm.catalog.planar_2r(joint_stiffness=20.0)
+    light = replace(arm, joints=[replace(joint, rotor_inertia=1e-8, torque_limit=20.0) for joint in arm.joints])
+    (line,) = (line for line in describe(light).warnings if "rotor" in line)
+    assert line.startswith("the rotor of joint 1 has 1e-08 kg m^2, ") and line.endswith("square of the gear ratio")
+    assert not any("rotor of" in line for line in describe(arm, torque_limit=20.0).warnings)
+    facts = arm_facts(arm, (20.0, 20.0))
+    rigid = fm.build_model(arm, flexible_links=False, flexible_joints=False)
+    assert facts.inertia == pytest.approx(np.diag(fm.mass_matrix(rigid, np.zeros(4))), rel=1e-3)

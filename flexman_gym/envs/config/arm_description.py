@@ -20,6 +20,7 @@ from flexman_gym.envs.config.named_environments import DEFAULT_ID
 from flexman_gym.metrics import BAND
 
 MUCH = 1.5  # ratio of a control period to the period that the arm needs, beyond which it is said
+LIGHT_ROTOR = 1e-4  # rotor inertia / inertia about the joint, below which a gear ratio seems to be forgotten
 HEAVY = 0.9  # holding torque / torque limit, beyond which it is said
 
 
@@ -126,6 +127,7 @@ def _warnings(configuration: Configuration, facts: ArmFacts) -> Iterator[str]:
         share, posture = facts.holding[i], np.round(facts.postures[i], 2).tolist()
         needed = share * configuration.torque_limit[i] / HEAVY
         yield f"joint {i + 1} holds {share:.0%} of its torque limit at {posture} rad; {needed:.3g} N m would do"
+    yield from _rotor_warnings(configuration, facts)
     yield from _speed_warnings(configuration, facts)
     longest, horizon = float(facts.durations.max()), configuration.horizon
     if longest > 0.5 * horizon:
@@ -140,6 +142,22 @@ def _warnings(configuration: Configuration, facts: ArmFacts) -> Iterator[str]:
         count = {"first mode": PERIODS_PER_VIBRATION, "median slew": PERIODS_PER_SLEW}.get(cause, PERIODS_PER_ROTOR)
         yield f"the control period is {1e3 * period:.3g} ms; {count} in the {cause} need {1e3 * wanted:.2g} ms"
     yield from _sensor_warnings(configuration, facts)
+
+
+def _rotor_warnings(configuration: Configuration, facts: ArmFacts) -> Iterator[str]:
+    """Yield the joint whose rotor is lightest relative to its links, if a gear ratio seems to be forgotten."""
+    shares = {
+        i: joint.rotor_inertia / inertia
+        for i, (joint, inertia) in enumerate(zip(configuration.arm.joints, facts.inertia, strict=True), 1)
+        if joint.stiffness is not None and not joint.passive
+    }
+    joint = min(shares, key=lambda each: shares[each], default=0)
+    if joint and shares[joint] < LIGHT_ROTOR:
+        inertia = configuration.arm.joints[joint - 1].rotor_inertia
+        yield (
+            f"the rotor of joint {joint} has {inertia:.3g} kg m^2, {shares[joint]:.1g} of the inertia that it moves; "
+            "at the joint it is the inertia of the motor's rotor times the square of the gear ratio"
+        )
 
 
 def _speed_warnings(configuration: Configuration, facts: ArmFacts) -> Iterator[str]:

@@ -48,6 +48,7 @@ class ArmFacts(NamedTuple):
         torque_rate: largest motor rate of slews that only the torque limits bound, rad/s.
         torque_share: median over the slews of the largest torque of the acceleration / the torque available to it.
         reach: length of the stretched arm, m.
+        inertia: (n,) moment of inertia of the outboard links and the rotor about each joint at `home`, kg m^2.
     """
 
     home: tuple[float, ...]
@@ -61,6 +62,7 @@ class ArmFacts(NamedTuple):
     torque_rate: float
     torque_share: float
     reach: float
+    inertia: Array
 
     @property
     def first_period(self) -> float:
@@ -99,9 +101,8 @@ def _facts(plain: str, torque_limit: tuple[float, ...], span: tuple[float, float
     _check_holding(shares, ends, limits)
     largest = shares.reshape(-1, n).argmax(axis=0)
     held = tuple(modes(model, arm.home).frequencies[:SHOWN].tolist())
-    free = tuple(
-        each for each in modes(model, arm.home, motors="free").frequencies[:SHOWN].tolist() if _vibrates(each, held)
-    )
+    found = modes(model, arm.home, motors="free").frequencies.tolist()
+    free = tuple(each for each in found if each > ROUNDING * max(held, default=0.0))[:SHOWN]
     by_torque = _torque_durations(model, limits, (starts, changes), torques.max(axis=1))
     speeds = np.array([np.inf if speed is None else speed for speed in motor_speeds(arm)])
     durations = np.maximum(by_torque, (PEAK_RATE * np.abs(changes) / (SPEED_SHARE * speeds)).max(axis=1))
@@ -121,12 +122,8 @@ def _facts(plain: str, torque_limit: tuple[float, ...], span: tuple[float, float
         float(torque_rates.max()),
         float(np.median((by_torque / durations) ** 2)),
         float(model.constants.length.sum()),
+        np.diag(slew_inertia(model, np.array(arm.home))).copy(),
     )
-
-
-def _vibrates(frequency: float, held: Sequence[float]) -> bool:
-    """Return True for the frequency of a mode, Hz, False for the rounding error of a motion of free motors."""
-    return frequency > ROUNDING * max(held, default=0.0)
 
 
 def _peak_rates(changes: Array, durations: Array) -> Array:

@@ -237,7 +237,7 @@ class PDDesign:
         if springs:
             part = ", ".join(f"{0.01 * each:.2g}" for each in critical)
             names.append(f"damping of the joints, 1 % of critical: {part} N m s/rad")
-        return f" on an arm without damping ({'; or '.join(names)})"
+        return f" on an arm without damping ({'; or '.join(names)})" if names else ""
 
     def _exists(self, period: float) -> bool:
         """Return True if gains with margins exist at a control period, s."""

@@ -13,7 +13,6 @@ from flexman_gym.common.plot_style import DARK, LIGHT, LINK_COLOURS, MIDDLE, new
 from flexman_gym.model.deformation import curves
 from flexman_gym.model.dynamics import frequencies
 from flexman_gym.model.model import Model, check_model
-from flexman_gym.model.statics import rest_state
 from flexman_gym.model.vibration import modes, rotating_frequencies
 from flexman_gym.toolbox.view.frames import POINTS, FramePainter, grid
 from flexman_gym.toolbox.view.overlay import font_size, write_text
@@ -41,18 +40,19 @@ def draw_mode_shapes(
         ValueError: for an arm without vibration modes.
     """
     angles = np.zeros(check_model(model).n_joints) if joint_angles is None else joint_angles
-    found, rest = modes(model, angles), rest_state(model, angles)
+    found = modes(model, angles)
     number = min(whole_number("count", count, 1, 64), len(found))
     if number == 0:
         raise ValueError("model: it has no vibration mode; give an arm with flexible links or joints")
     painter, reach, states = FramePainter(model, size, overlays=False), float(model.constants.length.sum()), []
-    positions = curves(model, rest, POINTS).positions
+    straight = model.initial_state(angles)  # the shapes are drawn without the sag under gravity
+    positions = curves(model, straight, POINTS).positions
     for shape in found.shapes[:number].real:
         small = 1e-4 / np.abs(shape).max()
-        away = curves(model, rest + np.append(small * shape, 0.0 * shape), POINTS).positions - positions
+        away = curves(model, straight + np.append(small * shape, 0.0 * shape), POINTS).positions - positions
         largest = np.linalg.norm(away, axis=-1).max()
-        states.append(rest + np.append(small * AMPLITUDE * reach / largest * shape, 0.0 * shape))
-    shot = painter.shot(curves(model, np.array([rest, *states]), POINTS).positions.reshape(-1, 3))
+        states.append(straight + np.append(small * AMPLITUDE * reach / largest * shape, 0.0 * shape))
+    shot = painter.shot(curves(model, np.array([straight, *states]), POINTS).positions.reshape(-1, 3))
     frames, letters = [], font_size(size[1])
     for i, state in enumerate(states):
         strains = np.abs(curves(model, state, POINTS).strains[..., :3]).max()
