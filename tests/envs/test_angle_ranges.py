@@ -126,7 +126,7 @@ def test_a_rotor_without_its_gear_ratio_is_named():
     """Rotors of geared arms have at least a ten-thousandth of the inertia about their joint."""
     arm = fm.catalog.planar_2r(joint_stiffness=20.0)
     light = replace(arm, joints=[replace(joint, rotor_inertia=1e-8, torque_limit=20.0) for joint in arm.joints])
-    (line,) = (line for line in describe(light).warnings if "rotor" in line)
+    (line,) = (line for line in describe(light).warnings if "the rotor of" in line)
     assert line.startswith("the rotor of joint 1 has 1e-08 kg m^2, ") and line.endswith("square of the gear ratio")
     assert not any("rotor of" in line for line in describe(arm, torque_limit=20.0).warnings)
     facts = arm_facts(arm, (20.0, 20.0))

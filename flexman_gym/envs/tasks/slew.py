@@ -48,11 +48,12 @@ class Slew:
             far, near, at_goal    weights 0.1, 0.25 and 0.65; l = 0.071 R, 0.018 R and 0.0035 R (0.6, 0.15 and 0.03 m)
 
     Start
-        At rest at motor angles drawn uniformly from [-start, start], deformed only by gravity. The goal posture differs
-        from the start by angles drawn uniformly from [-slew, slew]. Angles of joints with an `angle_range` are drawn
-        around its middle, and start and goal are within it. The target is the tip position of the arm at rest
-        at the goal posture and can therefore always be reached. The options "start" and "goal_angles" of a reset set
-        both postures; "start_tip" and "goal_tip" set them by tip positions, see `FlexManEnv`.
+        At rest at motor angles drawn uniformly from [-start, start], deformed only by gravity, as the nominal arm: with
+        a drawn payload or stiffness it is not in equilibrium and begins to sway. The goal posture differs from the
+        start by angles drawn uniformly from [-slew, slew]. Angles of joints with an `angle_range` are drawn around its
+        middle, and start and goal are within it. The target is the tip position of the arm at rest at the goal posture
+        and can therefore always be reached. The options "start" and "goal_angles" of a reset set both postures;
+        "start_tip" and "goal_tip" set them by tip positions, see `FlexManEnv`.
 
     End
         Truncated after the horizon of the environment; terminated by a failure.

@@ -40,7 +40,7 @@ TRANSIENT, FAILED = "transient", "failed"
 REMEDIES = {
     RINGING: "shape the command (flexman shape), slew more slowly, or damp by feedback of the links (lqr, lqg)",
     CYCLE: "lower the gains or the delay: flexman optimise gains finds gains with margins for the largest delay",
-    OFFSET: "add integral action or torques that compensate the true weight, look for a bias of sensors, or train on",
+    OFFSET: "add integral action or torques of the true weight, check sensors for a bias, or train a policy longer",
     TRANSIENT: "simulate a longer horizon, or use stiffer and better damped motors (flexman optimise gains)",
     NOISE: "lower the gains, above all those of the rates, or filter the measurements: an observer, or better sensors",
     FAILED: "keep the arm within its limits by slower commands or another controller (flexman replay shows the motion)",
