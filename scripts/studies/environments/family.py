@@ -113,8 +113,8 @@ FAMILIES = (
         "FlexGantry: a portal that travels with a load on a rope",
         "The portal of a gantry crane travels on rails, a flexible bridge of 6 m stands out from it, and a load of "
         "500 kg hangs from a rope of 4 m at the tip of the bridge. No joint has a motor: the only command is the "
-        "travel of the portal, see [foundations](../moving_foundations.md). The load is the tip of the arm, so that its "
-        "swing, 4.1 s a period, is part of the tip error. With a rigid bridge it is the trolley and pendulum of "
+        "travel of the portal, see [foundations](../moving_foundations.md). The load is the tip of the arm, so that "
+        "its swing, 4.1 s a period, is part of the tip error. With a rigid bridge it is the trolley and pendulum of "
         "textbooks, on which ZV shaping (Singer and Seering, 1990) leaves the residual that theory predicts. A shaper "
         "that is designed for the rope of 4 m and meets another one has the mode of its design, 0.246 Hz: "
         '`fm.evaluate({"kind": "pd-shaped", "shaper": "zv", "modes": [[0.246, 0.002]]}, "FlexGantry-v0/long-rope")`.',
