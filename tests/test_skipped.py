@@ -6,6 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import conftest
 import pytest
 
 SKIPS = "import pytest\n\n\n@pytest.mark.parametrize('k', range({count}))\ndef test_skip(k):\n    {skip}\n"
@@ -33,3 +34,12 @@ def test_skips_beyond_the_limit_or_for_a_missing_package_fail(kind, count, optio
     done = subprocess.run([*command, "test_skip.py"], cwd=tmp_path, capture_output=True, text=True, env=environment)
     assert done.returncode == status, done.stdout + done.stderr
     assert line in done.stdout
+
+
+def test_long_tests_exist():
+    """A line of the list names a file and one of its tests."""
+    tests = Path(__file__).parent
+    for line in conftest.long_tests():
+        file, _, name = line.partition("::")
+        text = (tests / file).read_text(encoding="utf-8")
+        assert not name or f"def {name.partition('[')[0]}(" in text, line
