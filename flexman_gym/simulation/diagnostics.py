@@ -72,11 +72,11 @@ def explain_bending(model: Model, states: Array) -> str:
         One or two sentences, or "" for small deflections.
     """
     ratios, lengths = np.zeros(model.n_joints), model.constants.length
-    for i in np.flatnonzero(lengths > 0.0):
+    for i in np.flatnonzero(lengths > 0.0).tolist():
         columns, elastic = model.elastic_columns(i), model.constants.elastic_start
         shapes = model.constants.tip_translation[elastic[i] : elastic[i + 1], 1:]
         ratios[i] = np.linalg.norm(states[:, columns] @ shapes, axis=1).max(initial=0.0) / lengths[i]
-    i = int(np.argmax(ratios))
+    i = int(np.argmax(ratios))  # of the link that bends most
     if ratios[i] <= STIFFENING_DEFLECTION:
         return ""
     remedies = ["stiffening=True"] * (not model.choice.stiffening)
