@@ -65,10 +65,8 @@ def _run(options: argparse.Namespace) -> int:
 
     method = options.method or (METHOD if options.step is None else DEFAULT_METHOD)
     trajectories = simulate_cases(options.area, method, options.step)
-    failed = {PAPER_CASES[case]: each for case, each in trajectories.items() if each.status != "ok"}
-    for name, each in failed.items():
-        print(f"no figures: {name}: {each.explanation()}", file=sys.stderr)
-    if failed:
+    if failed := [PAPER_CASES[case] for case, each in trajectories.items() if each.status != "ok"]:
+        print(f"no figures: the simulation of {' and of '.join(failed)} fails", file=sys.stderr)
         return 1
     print_largest(trajectories, options.figure)
     rigid, flexible_links, flexible_both = trajectories.values()
@@ -98,6 +96,8 @@ def simulate_cases(area: str = "printed", method: str = METHOD, step: float | No
         residual = np.abs(result.energy_residual).max()
         line = f"{name:<33}{result.status:<15}{result.wall_seconds:>8.2f} s{residual:>24.1e} J"
         print(line, flush=True)  # in one piece: messages about kernels come between the rows
+        for cause in result.explanation().splitlines():
+            print(f"! {cause}", file=sys.stderr)
         trajectories[case] = result
     return trajectories
 

@@ -30,7 +30,6 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
 def _run(options: argparse.Namespace) -> int:
     """Simulate and print a summary; return 0, or 1 if the simulation fails before its end."""
     from flexman_gym.common.files import write_file
-    from flexman_gym.simulation.diagnostics import explain_bending
     from flexman_gym.simulation.episode import Episode
     from flexman_gym.simulation.scene_simulation import simulate
 
@@ -49,7 +48,7 @@ def _run(options: argparse.Namespace) -> int:
     print(f"evaluations: {result.evaluations}")
     print(f"energy: {result.energy[-1]:.6g} J, largest residual {np.abs(result.energy_residual).max():.2g} J")
     print(f"tip at the end: {last} m")
-    for line in filter(None, (result.explanation(), explain_bending(result.model, result.states))):
+    for line in result.explanation().splitlines():
         print(f"! {line}", file=sys.stderr)
     return int(result.status != "ok")
 

@@ -35,7 +35,7 @@ from flexman_gym.scene.scene import Scene
 from flexman_gym.scene.signals import PiecewiseSignals
 from flexman_gym.simulation.batch import MAX_ARMS, MAX_THREADS
 from flexman_gym.simulation.batch_integrators import LaneIntegrator
-from flexman_gym.simulation.diagnostics import explain_energy, explain_failure
+from flexman_gym.simulation.diagnostics import explain_bending, explain_energy, explain_failure
 from flexman_gym.simulation.foundation import base_rotation, scene_pieces
 from flexman_gym.simulation.integrator import MAX_STEPS, Integrator, find_method, find_tolerance, with_prescribed
 from flexman_gym.simulation.methods import DEFAULT_METHOD, Method, ScipyMethod
@@ -256,7 +256,7 @@ class _SceneRun(NamedTuple):
         )
 
     def explanation(self, result: Trajectory) -> str:
-        """Return the explanation of a failure or an energy alarm of a trajectory; "" without either."""
+        """Return lines on a failure, an energy alarm and large bending of a trajectory; "" without any of them."""
         integrator, (model, _, _, interval, substeps, _) = self.integrator(), self.settings
         if result.status != STATUS[layout.OK]:
             last = np.append(result.states[-1], [result.work[-1], result.dissipation[-1]])
@@ -265,7 +265,8 @@ class _SceneRun(NamedTuple):
             return explain_failure(self.integrator(), model, *again[3], result.status)
         alarm = result.energy_alarm()
         before = result.states[result.time <= (alarm or 0.0)]
-        return "" if alarm is None else explain_energy(model, integrator, interval / substeps, alarm, before)
+        energy = "" if alarm is None else explain_energy(model, integrator, interval / substeps, alarm, before)
+        return "\n".join(filter(None, (energy, explain_bending(model, result.states))))
 
     def kinetics(self, result: Trajectory) -> FrameMotion:
         """Return the motion of the frames in a trajectory of the scene; at a jump of the inputs, after the jump."""

@@ -17,6 +17,7 @@ from flexman_gym.kernels import layout
 from flexman_gym.model.linearization import MEASUREMENT_UNITS, LinearMeasurements, column_names
 from flexman_gym.model.loads import FrameMotion
 from flexman_gym.model.model import Model
+from flexman_gym.simulation.diagnostics import explain_bending
 
 ENERGY_ALARM = 0.01  # dimensionless; fraction of `energy_turnover` above which the energy residual is too large
 
@@ -94,6 +95,7 @@ class Trajectory:
             f"{np.linalg.norm(self.deflection, axis=1).max(initial=0.0):.4g} m\n"
             f"  energy residual {np.abs(self.energy_residual).max(initial=0.0):.3g} J"
             + (f", too large from {alarm:g} s on, see explanation()" if alarm is not None else "")
+            + ("\n  large bending of a link, see explanation()" if explain_bending(self.model, self.states) else "")
             + ">"
         )
 
@@ -158,7 +160,7 @@ class Trajectory:
         return self._motion.part_energies()
 
     def explanation(self) -> str:
-        """Return the first quantity out of bounds in a failure or at an energy alarm, with remedies; otherwise "".
+        """Return lines on the cause of a failure or an energy alarm, and on large bending, with remedies; otherwise "".
 
         The call integrates again from the last valid state, step by step, to find the cause of a failure.
         """

@@ -86,6 +86,14 @@ def test_a_link_that_bends_by_more_than_a_tenth_of_its_length_is_named(share):
     assert explain_bending(fm.build_model(ARM, flexible_links=False), np.zeros((1, 4))) == ""
 
 
+def test_a_motion_with_large_bending_is_explained_though_it_is_ok():
+    bent = fm.simulate(scene(torque=(20.0, 10.0)))
+    assert bent.status == "ok" and bent.energy_alarm() is None
+    assert " bends by up to " in bent.explanation() and "large bending of a link" in repr(bent)
+    small = fm.simulate(scene(torque=(0.1, 0.1)))
+    assert small.explanation() == "" and "bending" not in repr(small)
+
+
 @pytest.mark.parametrize(("part", "advised"), [(0.45, False), (0.55, True)])
 def test_foreshortening_is_advised_from_half_of_the_first_frequency_on(part, advised):
     """Spun so fast a link without it has a quarter less of the stiffness of its first mode; it hardly bends here."""
