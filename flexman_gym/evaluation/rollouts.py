@@ -230,6 +230,9 @@ def rollout(
     """
     environment = Configuration.find(environment)
     environment = environment.replace(safety=safety) if safety else environment
+    if agent == "zero" and environment.base is not None:
+        allowed = 'none for the agent "zero", which has no torque; give the base as the agent, by name or mapping'
+        raise value_error("base", environment.base, allowed)
     loop = RolloutLoop(agent, environment, seeds, callback, set_plant, options)
     episodes = loop.episodes
     most = MAX_RECORDED // len(episodes.over)

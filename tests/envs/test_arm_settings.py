@@ -78,6 +78,13 @@ def test_settings_of_an_arm_whose_times_are_longer_scale_with_them(scale):
     assert slow["limits"].twist == usual["limits"].twist
 
 
+@pytest.mark.parametrize("rope", [3.0, 5.0])
+def test_an_arm_without_motors_has_the_usual_limit_of_rates(rope):
+    env = gym.make("FlexGantry-v0", arm={"catalog": "gantry", "rope": rope}).unwrapped
+    env.reset(seed=0)
+    assert env.configuration.limits.rate == fm.Limits().rate and "limits" in env.configuration.derived
+
+
 def test_derived_numbers_are_1_2_or_5_times_a_power_of_ten():
     settings = derived_settings(rod(stiffness=300.0)[0], [LIMIT], SPAN)
     limits = settings["limits"]

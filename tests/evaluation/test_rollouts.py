@@ -187,3 +187,11 @@ def test_an_episode_that_failed_is_kept_to_its_end():
     episode = result.episode(0)
     assert len(episode.time) == result.lengths[0] + 1 < 76 and "rate" in episode.about["failure"]
     assert np.isfinite(episode.states).all() and len(episode.actions) == result.lengths[0]
+
+
+def test_a_base_of_the_environment_is_refused_for_the_agent_without_torque():
+    based = Configuration("FlexOne-v0", {"base": "pd"})
+    line = refusal(lambda: fm.rollout("zero", based, range(1)))
+    assert line.startswith("base: 'pd' is not allowed; give none for the agent \"zero\"")
+    alone, asked = (fm.rollout("pd", each, range(1)).tips for each in (based, Configuration("FlexOne-v0")))
+    assert np.array_equal(alone, asked)

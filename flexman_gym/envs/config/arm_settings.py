@@ -237,13 +237,14 @@ def wanted_period(facts: ArmFacts) -> float:
 
 def _derived_limits(arm: Arm, torque_limit: Sequence[float], facts: ArmFacts) -> Limits:
     """Return limits of the rates, twists, deflection rates and tip speeds of an arm."""
-    rate = LIMIT_FACTOR * facts.torque_rate  # agents without planned motions exceed speed limits
+    usual = Limits()
+    # agents without planned motions exceed speed limits; an arm without motors has no slews
+    rate = LIMIT_FACTOR * facts.torque_rate or usual.rate
     twists = [
         LIMIT_FACTOR * limit / joint.stiffness
         for limit, joint in zip(torque_limit, arm.joints, strict=True)
         if joint.stiffness is not None and not joint.passive
     ]
-    usual = Limits()
     bending = usual.deflection * facts.reach * 2.0 * math.pi * (facts.held[0] if facts.held else 0.0)
     tip = facts.reach * rate
     angles = [abs(angle) for bounds in arm.angle_ranges if bounds for angle in bounds]
