@@ -40,6 +40,7 @@ def metrics_table(
     metrics = (*task_metrics(environment.task), *limit_metrics(first[0]))
     columns = [each for each in metrics if each.name not in LEFT_OUT]
     title = f"{len(first)} episodes of {name or _environment_text(environment)}, the same for all"
+    title += f", reward {kind}" if isinstance(kind := getattr(environment.task, "reward", None), str) else ""
     within = f"in {1e3 * first[0].band:.3g} mm"
     headers = ["agent", *(within if metric.name == "settled" else metric.header for metric in columns)]
     values = {metric: [metric.values(records) for records in results.values()] for metric in columns}

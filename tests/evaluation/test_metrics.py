@@ -116,7 +116,7 @@ def test_the_row_of_all_seeds_has_the_metrics_over_all_runs():
 
 def test_the_head_says_on_which_environment_all_rows_were_run():
     title, head, *_ = rows(["pd"])
-    assert title == "3 episodes of FlexOne-v0 (horizon), the same for all"
+    assert title == "3 episodes of FlexOne-v0 (horizon), the same for all, reward distance"
     assert f"in {1e3 * BAND:.3g} mm" in head, "the band is a part of the reach"
     assert "(default settings)" in metrics_table({"pd": [record()]}, Configuration())
 
