@@ -451,10 +451,8 @@ class _Run:
             callbacks.append(ValueWarmup(settings.value_warmup))
         if self._evaluation:
             callbacks.append(self._evaluation)
-        bar = progress and sys.stderr.isatty()
-        if progress and not bar:
-            callbacks.append(ProgressLines(settings.steps))
-        keywords: dict[str, Any] = {"progress_bar": bar, "reset_num_timesteps": False}
+        callbacks += [ProgressLines(settings.steps)] * (progress and not sys.stderr.isatty())
+        keywords: dict[str, Any] = {"progress_bar": progress and sys.stderr.isatty(), "reset_num_timesteps": False}
         if isinstance(model, OffPolicyAlgorithm):
             keywords["log_interval"] = settings.envs  # in episodes; the episodes of all arms end together
         with stop_on_interrupt() as stop_requested:

@@ -85,7 +85,7 @@ def _user_place(error: BaseException) -> str:
     known = [str(Path(each.__file__).parent) for each in packages if each and each.__file__]
     known += [sys.prefix, sys.base_prefix, "<"]  # "<": frames without a file
     frames = [each for each in extract_tb(error.__traceback__) if not each.filename.startswith(tuple(known))]
-    if not frames:
+    if not frames or isinstance(error, OSError):
         return ""
     kind = "" if type(error) is ValueError else f"{type(error).__name__}: "
     return f"{Path(frames[-1].filename).name}, line {frames[-1].lineno}: {kind}"

@@ -89,7 +89,6 @@ USUAL_RANGES: dict[str, tuple[float, float, str, str]] = {
     "Motor.encoder_resolution": (0.0, 0.8, "rad", "counts per turn; 4096 per turn are 2 pi / 4096"),
     "Joint.backlash": (0.0, 0.1, "rad", "arc minutes; 3 arc minutes are 9e-4"),
     "Joint.rotor_inertia": (0.0, 1e5, "kg m^2", "g cm^2"),
-    "Joint.speed_limit": (1e-3, 300.0, "rad/s", "degrees per second"),
     "Arm.modal_damping_ratio": (0.0, 0.3, "1", "per cent; 0.5 % is 0.005"),
     "Arm.stiffness_proportional_damping": (0.0, 1.0, "s", "ms"),
     "control_period": (0.0, 1.0, "s", "ms"),

@@ -134,7 +134,9 @@ def test_the_error_of_an_arm_without_damping_names_the_damping():
     joints = [fm.Joint((0, 0, 1), rotor_inertia=0.1, stiffness=each, torque_limit=20.0) for each in (3100.0, 870.0)]
     bare, damped = (fm.Arm(links, joints, fm.Payload(0.35), modal_damping_ratio=each) for each in (0.0, 0.01))
     line = refusal(lambda: design_pd(Configuration("FlexRRR-v0", {"arm": bare})))
-    assert "on an arm without damping (modal_damping_ratio, or damping of the joints)" in line
+    words = "on an arm without damping (modal_damping_ratio; or damping of the joints, 1 % of critical: "
+    critical = ", ".join(f"{0.02 * np.sqrt(each.stiffness * each.rotor_inertia):.2g}" for each in joints)
+    assert f"{words}{critical} N m s/rad)" in line
     assert design_pd(Configuration("FlexRRR-v0", {"arm": damped}))
 
 
