@@ -13,7 +13,7 @@ import numpy as np
 
 from flexman_gym.common.arrays import Array, IntArray
 from flexman_gym.common.checks import whole_number
-from flexman_gym.common.errors import value_error
+from flexman_gym.common.errors import value_error, warn_caller
 from flexman_gym.common.progress import Progress
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.episodes import Episodes
@@ -231,8 +231,9 @@ def rollout(
     environment = Configuration.find(environment)
     environment = environment.replace(safety=safety) if safety else environment
     if agent == "zero" and environment.base is not None:
-        allowed = 'none for the agent "zero", which has no torque; give the base as the agent, by name or mapping'
-        raise value_error("base", environment.base, allowed)
+        warn_caller(
+            'base: left out for the agent "zero", which has no torque; give the base as the agent, by name or mapping'
+        )
     loop = RolloutLoop(agent, environment, seeds, callback, set_plant, options)
     episodes = loop.episodes
     most = MAX_RECORDED // len(episodes.over)
