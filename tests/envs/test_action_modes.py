@@ -198,3 +198,18 @@ def test_friction_hides_no_unstable_servo():
     for arm in (plain, rubbing):
         with pytest.warns(UserWarning, match="is not stable with a period of 0.01 s.*spectral radius"):
             FlexManEnv(**given, arm=arm, actions=servo)
+
+
+def test_the_velocity_at_an_action_of_one_is_the_speed_limit_of_the_joint():
+    """Also of a joint without a motor."""
+    arm = Configuration("FlexOne-v0").arm
+    slow = replace(arm, joints=[replace(arm.joints[0], speed_limit=0.4)])
+    moved = [{"kind": "velocity"}, {"kind": "velocity", "range": 0.4}]
+    states = []
+    for actions in moved:
+        env = FlexManEnv(name="FlexOne-v0", arm=slow, actions=actions)
+        env.reset(seed=0)
+        for _ in range(20):
+            env.step(np.array([1.0], dtype=np.float32))
+        states.append(env.simulator.state.copy())
+    assert np.array_equal(*states)

@@ -99,14 +99,13 @@ def _make_servo(kind: str, plant: Plant, base: Controller | None, **given: Any) 
         base: None; a base controller raises ValueError.
         **given: "stiffness" (N m/rad) and "damping" (N m s/rad), (n,) each; "range", the angle (rad) or rate (rad/s) at
             an action of 1, for all joints or for each joint (n,). The default range is pi, for kind="velocity" the
-            speed limit of the motor.
+            speed limit of the joint.
     """
     if base is not None:
         raise value_error("base", base, f'None: with actions="{kind}" the servo commands the motors')
     n, span = len(plant.torque_limit), given.pop("range", None)
     if span is None:
-        motors = [joint.motor for joint in plant.model.arm.joints]
-        speeds = [motor.joint_speed_limit if motor else None for motor in motors]
+        speeds = [joint.speed_limit for joint in plant.model.arm.joints]
         spans = [speed if speed and kind == "velocity" else np.pi for speed in speeds]
     else:
         ranges = span if isinstance(span, list | tuple | np.ndarray) else [span] * n
