@@ -54,4 +54,4 @@ class PostureRanges(NamedTuple):
     def turned_into(self, posture: Array) -> Array:
         """Return a posture (n,) with each angle that is outside its range turned by whole turns towards the middle."""
         outside = (posture < self.low) | (posture > self.high)
-        return np.where(outside, posture - TURN * np.round((posture - self.home) / (TURN)), posture)
+        return np.where(outside, posture - TURN * np.round((posture - self.home) / TURN), posture)

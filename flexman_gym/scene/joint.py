@@ -341,7 +341,7 @@ class Joint:
 
 
 def _angle_range(value: object) -> tuple[float, float]:
-    """Return a range of joint angles, rad; ValueError if its ends are not ascending or more than two turns apart."""
+    """Return a range of joint angles, rad; ValueError if its ends are not ascending or more than four turns apart."""
     low, high = vector("Joint.angle_range", value, 2, "rad")
     if not 0.0 < high - low <= LARGEST_RANGE:
         allowed = f"two ascending angles (rad), at most {LARGEST_RANGE:.4g} apart; None for a joint without stops"

@@ -71,19 +71,15 @@ def explain_bending(model: Model, states: Array) -> str:
     Returns:
         One or two sentences, or "" for small deflections.
     """
-    ratios, lengths = np.zeros(model.n_joints), model.constants.length
-    for i in np.flatnonzero(lengths > 0.0).tolist():
-        columns, elastic = model.elastic_columns(i), model.constants.elastic_start
-        shapes = model.constants.tip_translation[elastic[i] : elastic[i + 1], 1:]
-        ratios[i] = np.linalg.norm(states[:, columns] @ shapes, axis=1).max(initial=0.0) / lengths[i]
-    i = int(np.argmax(ratios))  # of the link that bends most
-    if ratios[i] <= STIFFENING_DEFLECTION:
+    ratios = {link: each.max(initial=0.0) for link, each in _link_deflections(model, states).items()}
+    link = max(ratios, key=lambda each: ratios[each], default=0)
+    if not ratios or ratios[link] <= STIFFENING_DEFLECTION:
         return ""
     remedies = ["stiffening=True"] * (not model.choice.stiffening)
     remedies.append("stiffer links or smaller loads; the error of the model grows with the square of the bending")
     return (
-        f"link {i + 1} bends by up to {ratios[i]:.0%} of its length; beyond {STIFFENING_DEFLECTION:.0%} a model of "
-        f"small deflections is inaccurate. Try {'; or '.join(remedies)}."
+        f"link {link + 1} bends by up to {ratios[link]:.0%} of its length; beyond {STIFFENING_DEFLECTION:.0%} a model "
+        f"of small deflections is inaccurate. Try {'; or '.join(remedies)}."
     )
 
 
@@ -124,6 +120,16 @@ def _coordinate_names(model: Model) -> list[str]:
     return result
 
 
+def _link_deflections(model: Model, states: Array) -> dict[int, Array]:
+    """Return flexible link -> deflections (r,) of its tip in states (r, 2 d), as parts of its length."""
+    starts, result = model.constants.elastic_start, {}
+    for link in np.flatnonzero(np.diff(starts)).tolist():
+        shapes = model.constants.tip_translation[starts[link] : starts[link + 1]]
+        away = np.linalg.norm(states[:, model.elastic_columns(link)] @ shapes, axis=1)
+        result[link] = away / model.constants.length[link]
+    return result
+
+
 def _quantities(model: Model, states: Array) -> Iterator[_Quantity]:
     """Yield joint and motor rates, joint twists, link deflections and elastic coordinates of states (r, 2 d)."""
     d, n, label = model.n_dof, model.n_joints, _coordinate_names(model)
@@ -132,13 +138,10 @@ def _quantities(model: Model, states: Array) -> Iterator[_Quantity]:
     for i, motor in enumerate(model.constants.motor):
         if motor >= 0:
             yield _Quantity(f"the twist of joints[{i}]", "rad", states[:, motor] - states[:, i], LARGE_TWIST)
-    sizes, starts = coordinate_scales(model), model.constants.elastic_start
-    for link in range(n):
+    sizes = coordinate_scales(model)
+    for link, deflection in _link_deflections(model, states).items():
+        yield _Quantity(f"the deflection of links[{link}]", "of its length", deflection, LARGE_DEFLECTION)
         columns = model.elastic_columns(link)
-        shapes = model.constants.tip_translation[starts[link] : starts[link + 1]]
-        if len(shapes):
-            deflection = np.linalg.norm(states[:, columns] @ shapes, axis=1) / model.constants.length[link]
-            yield _Quantity(f"the deflection of links[{link}]", "of its length", deflection, LARGE_DEFLECTION)
         for column in range(columns.start, columns.stop):
             relative = states[:, column] / sizes[column]
             yield _Quantity(label[column], "rad or parts of the link's length", relative, LARGE_DEFLECTION)
