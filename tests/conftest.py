@@ -53,7 +53,10 @@ def pytest_ignore_collect(collection_path, config):
 
 
 def long_tests():
-    """Return the tests with the marker `long`: names of files, tests, or tests with parameters."""
+    """Return the tests with the marker `long`: names of files, tests, or tests with parameters, or with `[2:]`.
+
+    `[2:]` leaves the first two cases of a test without the marker.
+    """
     path = Path(__file__).parent / "long_tests.txt"
     lines = path.read_text(encoding="utf-8").splitlines() if path.is_file() else []
     return [line for line in lines if line and not line.startswith("#")]
@@ -62,10 +65,13 @@ def long_tests():
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config, items):
     """Mark the long tests, and deselect tests with the marker `feature` in a run of the core."""
-    names = set(long_tests())
+    names, cases = set(long_tests()), Counter()
+    kept = {name: int(count) for name, count in re.findall(r"^(.*)\[(\d+):\]$", "\n".join(names), re.MULTILINE)}
     for item in items:
         whole, (file, _, _) = item.nodeid.removeprefix("tests/"), item.nodeid.removeprefix("tests/").partition("::")
-        if names & {whole, whole.partition("[")[0], file}:
+        test = whole.partition("[")[0]
+        cases[test] += 1
+        if names & {whole, test, file} or cases[test] > kept.get(test, cases[test]):
             item.add_marker("long")
     if config.getoption("--core"):
         chosen = [item for item in items if not item.get_closest_marker("feature")]

@@ -43,3 +43,17 @@ def test_long_tests_exist():
         file, _, name = line.partition("::")
         text = (tests / file).read_text(encoding="utf-8")
         assert not name or f"def {name.partition('[')[0]}(" in text, line
+
+
+def test_cases_beyond_a_number_are_long(tmp_path):
+    """A line with `[2:]` marks all cases of its test but the first two."""
+    shutil.copy(Path(__file__).with_name("conftest.py"), tmp_path)
+    (tmp_path / "long_tests.txt").write_text("test_cases.py::test_case[2:]\n")
+    cases = "import pytest\n\n@pytest.mark.parametrize('case', range(5))\ndef test_case(case):\n    pass\n"
+    (tmp_path / "test_cases.py").write_text(cases)
+    command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "-m", "long", "--co", "-q"]
+    environment = os.environ | {"PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1", "PYTEST_ADDOPTS": ""}
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, env=environment)
+    assert [line.partition("::")[2] for line in done.stdout.splitlines() if "::" in line] == [
+        f"test_case[{case}]" for case in (2, 3, 4)
+    ]
