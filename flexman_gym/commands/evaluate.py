@@ -16,8 +16,11 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
 
 def _run(options: argparse.Namespace) -> int:
     """Print one table or JSON document of all agents; return 0, or 2 if an agent is left out."""
+    import gymnasium as gym
+
     from flexman_gym.common.formatting import json_text
     from flexman_gym.envs.config.configuration import Configuration
+    from flexman_gym.evaluation.agent_spec import INTERFACE
     from flexman_gym.evaluation.agents import common_environment
     from flexman_gym.evaluation.metrics import all_metrics, median_intervals
     from flexman_gym.evaluation.rollouts import rollout, save_rollouts
@@ -28,6 +31,12 @@ def _run(options: argparse.Namespace) -> int:
     named = Configuration.find(options.env) if options.env else None
     agents = {name: load_agent(name, options.trust, named) for name in options.agent}
     environment = common_environment(list(agents.values()), named, options.set)
+    from_file = named.given if named and options.env.partition("/")[0] not in gym.registry else {}
+    if unused := [name for name in from_file if name in INTERFACE and name not in environment.given]:
+        reason = "belong to an agent, and each agent has its own"
+        print(
+            f"{options.env} without {', '.join(unused)}: settings of {', '.join(INTERFACE)} {reason}", file=sys.stderr
+        )
     seeds = range(options.seed, options.seed + options.episodes)
     results, errors = {}, list[Exception]()
     for name, each in agents.items():

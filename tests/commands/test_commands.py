@@ -151,6 +151,15 @@ def test_a_refused_agent_is_left_out_of_the_table(capsys):
     assert printed.err.startswith("adaptive-lqr is left out: base: ") and "zero " in printed.out
 
 
+def test_settings_of_an_agent_in_a_file_are_named_if_unused(tmp_path, capsys):
+    path = tmp_path / "mine.yaml"
+    for settings, unused in (("base: pd\nhistory: 2\n", "base, history"), ("horizon: 0.1\n", "")):
+        path.write_text(f"id: FlexOne-v0\n{settings}")
+        assert main(["evaluate", "zero", "--env", str(path), "--episodes", "1"]) == 0
+        printed = capsys.readouterr().err
+        assert f"{path} without {unused}: " in printed if unused else str(path) not in printed
+
+
 def test_an_agent_without_its_package_is_left_out_of_the_table(monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "daqp", None)
     assert main(["evaluate", "zero", "mpc", "--env", "FlexOne-v0", "--episodes", "1"]) == 2
