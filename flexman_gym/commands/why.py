@@ -6,7 +6,7 @@ arrival.
 
 import argparse
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from flexman_gym.commands import CommandLine, add_options, load_agent
@@ -32,12 +32,12 @@ def _run(options: argparse.Namespace) -> int:
     from flexman_gym.envs.config.configuration import Configuration
     from flexman_gym.evaluation.agents import common_environment
     from flexman_gym.simulation.episode import Episode
-    from flexman_gym.toolbox.diagnosis.diagnosis import diagnose, diagnose_log
+    from flexman_gym.toolbox.diagnosis.diagnosis import REMEDIES, TRAINING_REMEDIES, diagnose, diagnose_log
 
     if options.episodes < 1:
         options.parser.error(f"--episodes: {options.episodes} is not allowed; give a whole number > 0")
     for name in (logs := [each for each in options.agent if each.endswith(".npz")]):
-        print("\n".join(_diagnosis_lines(name, [diagnose_log(Episode.load(name))])))
+        print("\n".join(_diagnosis_lines(name, [diagnose_log(Episode.load(name))], REMEDIES)))
     agents = {name: load_agent(name, options.trust) for name in options.agent if name not in logs}
     if not agents:
         return 0
@@ -45,23 +45,19 @@ def _run(options: argparse.Namespace) -> int:
     environment = common_environment(list(agents.values()), named, options.set)
     seeds = range(options.seed, options.seed + options.episodes)
     for name, each in agents.items():
-        print(
-            "\n".join(
-                _diagnosis_lines(f"{name} on {options.env or environment.id}", diagnose(each, environment, seeds))
-            )
-        )
+        remedies = REMEDIES if each.law is None or each.environment is None else TRAINING_REMEDIES
+        title = f"{name} on {options.env or environment.id}"
+        print("\n".join(_diagnosis_lines(title, diagnose(each, environment, seeds), remedies)))
     return 0
 
 
-def _diagnosis_lines(title: str, results: "Sequence[Diagnosis]") -> list[str]:
+def _diagnosis_lines(title: str, results: "Sequence[Diagnosis]", remedies: Mapping[str, str]) -> list[str]:
     """Return the report on the diagnoses of some episodes, as lines."""
     import numpy as np
 
-    from flexman_gym.toolbox.diagnosis.diagnosis import REMEDIES
-
     failures = Counter(each.failure for each in results if each.failure)
     rms = 1e3 * np.array([each.rms for each in results if not each.failure] or [np.nan])
-    shares = {cause: float(np.mean([each.shares[cause] for each in results])) for cause in REMEDIES}
+    shares = {cause: float(np.mean([each.shares[cause] for each in results])) for cause in remedies}
     largest = Counter(each.cause for each in results)
     error = f"RMS error after arrival {np.median(rms):.3g} mm (to {rms.max():.3g})"
     failed = f"{failures.total()} failed ({', '.join(failures)})"
@@ -73,7 +69,7 @@ def _diagnosis_lines(title: str, results: "Sequence[Diagnosis]") -> list[str]:
             f"episodes{_dominant_tone(results, cause)}"
         )
     worst = max(shares, key=lambda cause: shares[cause])
-    remedy = "none needed, the error is small" if all(each.negligible for each in results) else REMEDIES[worst]
+    remedy = "none needed, the error is small" if all(each.negligible for each in results) else remedies[worst]
     return [*lines, f"  remedy: {remedy}"]
 
 

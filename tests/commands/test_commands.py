@@ -24,7 +24,7 @@ from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.envs.config.settings import SETTINGS
 from flexman_gym.envs.registration import CONDITIONS
 from flexman_gym.envs.sensors import SENSOR_NAMES
-from flexman_gym.toolbox.diagnosis.diagnosis import REMEDIES, RINGING, Diagnosis, diagnose
+from flexman_gym.toolbox.diagnosis.diagnosis import REMEDIES, RINGING, TRAINING_REMEDIES, Diagnosis, diagnose
 from flexman_gym.toolbox.league import certificate, page, rows
 from flexman_gym.toolbox.league.rows import EpisodeBlock, LeagueRows
 from flexman_gym.toolbox.league.scenarios import PLANT_SCENARIOS, USUAL_SCENARIOS
@@ -463,9 +463,11 @@ def test_it_takes_what_evaluate_takes(capsys):
 def test_one_quiet_episode_does_not_hide_one_that_rings(monkeypatch, capsys):
     shares = dict.fromkeys(REMEDIES, 0.0) | {RINGING: 1.0}
     still, ringing = (Diagnosis(rms, quiet, shares, ()) for rms, quiet in ((1e-6, True), (0.05, False)))
-    for results, remedy in (([still, ringing], REMEDIES[RINGING]), ([still, still], "none needed, the error is small")):
+    small = "none needed, the error is small"
+    for agent, results, remedy in (("pd", [still, ringing], REMEDIES[RINGING]), ("pd", [still, still], small),
+                                   ("ppo-flexplanar", [still, ringing], TRAINING_REMEDIES[RINGING])):  # fmt: skip
         monkeypatch.setattr("flexman_gym.toolbox.diagnosis.diagnosis.diagnose", lambda *_, results=results: results)
-        assert main(["why", "pd", *GIVEN]) == 0
+        assert main(["why", agent, *GIVEN]) == 0
         assert capsys.readouterr().out.splitlines()[-1] == f"  remedy: {remedy}"
 
 

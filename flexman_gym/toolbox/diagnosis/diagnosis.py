@@ -45,6 +45,14 @@ REMEDIES = {
     NOISE: "lower the gains, above all those of the rates, or filter the measurements: an observer, or better sensors",
     FAILED: "keep the arm within its limits by slower commands or another controller (flexman replay shows the motion)",
 }
+TRAINING_REMEDIES = {  # for a trained policy, whose base controller and reward were those of its training
+    RINGING: "train on a base controller that damps (base: lqr or lqg), or weigh tip_vibration more (reward)",
+    CYCLE: "train with the delay and the friction of the evaluation (randomisation), or on a base with smaller gains",
+    OFFSET: 'train longer, with reward="distance", which still changes at errors of millimetres, or on adaptive-lqr',
+    TRANSIENT: "train with the horizon of the evaluation, or on a base controller that arrives sooner",
+    NOISE: "train with the noise of the evaluation (randomisation) and with a history, or on a base with an observer (lqg)",
+    FAILED: "train on such starts and goals, or with a larger failure_penalty (flexman replay shows the motion)",
+}
 
 
 SIGNALS = ("errors", "actions", "torques", "rates", "loss")  # arrays of an _EpisodeEnd

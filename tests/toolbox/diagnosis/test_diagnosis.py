@@ -11,7 +11,17 @@ from flexman_gym.evaluation.rollouts import rollout
 from flexman_gym.toolbox.controllers.excited_modes import excited_modes
 from flexman_gym.toolbox.controllers.margins import margins, sampled_loops
 from flexman_gym.toolbox.diagnosis import diagnosis
-from flexman_gym.toolbox.diagnosis.diagnosis import CYCLE, FAILED, NOISE, OFFSET, REMEDIES, RINGING, TRANSIENT, diagnose
+from flexman_gym.toolbox.diagnosis.diagnosis import (
+    CYCLE,
+    FAILED,
+    NOISE,
+    OFFSET,
+    REMEDIES,
+    RINGING,
+    TRAINING_REMEDIES,
+    TRANSIENT,
+    diagnose,
+)
 
 PERIOD, COUNT = 0.01, 300
 TIME = PERIOD * np.arange(COUNT)
@@ -208,4 +218,5 @@ def test_ringing_is_named_after_the_mode_that_was_bent():
 
 
 def test_every_cause_has_a_remedy():
-    assert set(REMEDIES) == {RINGING, CYCLE, OFFSET, TRANSIENT, NOISE, FAILED} and all(REMEDIES.values())
+    for remedies in (REMEDIES, TRAINING_REMEDIES):
+        assert set(remedies) == {RINGING, CYCLE, OFFSET, TRANSIENT, NOISE, FAILED} and all(remedies.values())
