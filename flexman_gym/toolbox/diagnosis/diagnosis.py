@@ -50,7 +50,7 @@ TRAINING_REMEDIES = {  # for a trained policy, whose base controller and reward 
     CYCLE: "train with the delay and the friction of the evaluation (randomisation), or on a base with smaller gains",
     OFFSET: 'train longer, with reward="distance", which still changes at errors of millimetres, or on adaptive-lqr',
     TRANSIENT: "train with the horizon of the evaluation, or on a base controller that arrives sooner",
-    NOISE: "train with the noise of the evaluation (randomisation) and with a history, or on a base with an observer (lqg)",
+    NOISE: "train with the noise of the evaluation (randomisation) and a history, or on a base with an observer (lqg)",
     FAILED: "train on such starts and goals, or with a larger failure_penalty (flexman replay shows the motion)",
 }
 
