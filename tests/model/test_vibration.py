@@ -8,6 +8,7 @@ from scipy.optimize import brentq
 
 import flexman_gym as fm
 from flexman_gym.model.state_space import natural_modes
+from flexman_gym.model.vibration import rotating_frequencies
 from flexman_gym.simulation.physical_parameters import varied_model
 
 STRIP = fm.Link.strip(0.5, 0.04, 0.003)
@@ -134,3 +135,28 @@ def test_friction_changes_no_mode_of_free_motors():
     model = fm.build_model(replace(SPATIAL.arm, joints=rubbing), modes=4)
     for motors in ("held", "free"):
         assert np.array_equal(fm.modes(model, motors=motors).eigenvalues, fm.modes(SPATIAL, motors=motors).eigenvalues)
+
+
+@pytest.mark.parametrize("ratio", [0.1, 0.7])
+def test_one_inertia_on_a_damped_spring_has_its_damping_ratio_and_frequency(ratio):
+    """I x'' + 2 zeta sqrt(k I) x' + k x = 0: ratio zeta, damped frequency sqrt(k / I (1 - zeta^2))."""
+    inertia = fm.mass_matrix(model := fm.build_model(fm.Arm([STRIP], [HUB]), flexible_links=False), np.zeros(2))[0, 0]
+    spring = replace(HUB, rotor_inertia=0.01, stiffness=60.0, damping=2.0 * ratio * np.sqrt(60.0 * inertia))
+    found = fm.modes(fm.build_model(replace(model.arm, joints=[spring]), flexible_links=False))
+    assert found.damping_ratios == pytest.approx([ratio], rel=1e-12)
+    assert found.frequencies == pytest.approx([np.sqrt(60.0 / inertia * (1.0 - ratio**2)) / (2.0 * np.pi)], rel=1e-12)
+
+
+@pytest.mark.parametrize("motors", ["held", "free"])
+def test_mode_shapes_are_normalised_by_the_mass_matrix(motors):
+    found, posture = fm.modes(SPATIAL, [0.3, 0.5], motors), SPATIAL.initial_state([0.3, 0.5])
+    mass = fm.mass_matrix(SPATIAL, fm.rest_state(SPATIAL, posture[SPATIAL.motor_columns]))
+    assert np.einsum("ka,ab,kb->k", found.shapes.conj(), mass, found.shapes) == pytest.approx(np.ones(len(found)))
+    largest = np.take_along_axis(found.shapes, np.abs(found.shapes).argmax(axis=1)[:, None], axis=1)
+    assert np.abs(largest.imag).max() < 1e-12 * np.abs(largest).max() and (largest.real > 0.0).all()
+
+
+def test_frequencies_of_a_rotating_arm_do_not_depend_on_gravity():
+    weightless = fm.build_model(replace(SPATIAL.arm, gravity=(0.0, 0.0, 0.0)), modes=4)
+    rates = [0.0, 3.0]
+    assert np.array_equal(rotating_frequencies(SPATIAL, rates), rotating_frequencies(weightless, rates))
