@@ -1,4 +1,4 @@
-"""Train a shipped policy again, export it, and write its certificate: python scripts/policy.py ppo-flexrrr"""
+"""Train shipped policies again, export them, and write their certificates: python scripts/policy.py ppo-flexrrr"""
 
 import argparse
 import shutil
@@ -12,24 +12,29 @@ from flexman_gym.toolbox.league.certificate import certify
 
 
 def main() -> None:
-    """Train with the recipe and the seed of the policy; replace its files and its certificate."""
+    """Train with the recipe and the seed of each policy; replace its files and its certificate."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("policy", choices=POLICIES)
+    names = ", ".join(POLICIES)
+    parser.add_argument("policy", nargs="*", default=[*POLICIES], help=f"names (default: {names})")
+    parser.add_argument("--certify", action="store_true", help="write the certificate only, without training")
     parser.add_argument("--folder", type=Path, default="out/policies", help="folder of run, export and episodes")
     options = parser.parse_args()
-    about, run, export = (
-        read_policy(FOLDER / options.policy).metadata,
-        options.folder / "run",
-        options.folder / "policy",
-    )
+    for name in options.policy:
+        if not options.certify:
+            _train(name, options.folder / name)
+        certify(name, folder=options.folder / "episodes")
+
+
+def _train(name: str, folder: Path) -> None:
+    """Replace the files of a policy by those of a run in a folder."""
+    about, run, export = read_policy(FOLDER / name).metadata, folder / "run", folder / "policy"
     recipe = about["recipe"]
     settings = find_recipe(recipe["name"]).with_seed(recipe["settings"]["seed"])
     train_or_resume((settings, str(run), {}))
     shutil.rmtree(export, ignore_errors=True)
     export_policy(run, export, about["words"], recipe["name"], licence=about["licence"])
-    for name in (ARRAYS, METADATA):
-        shutil.copy(export / name, FOLDER / options.policy / name)
-    certify(options.policy, folder=options.folder / "episodes")
+    for file in (ARRAYS, METADATA):
+        shutil.copy(export / file, FOLDER / name / file)
 
 
 if __name__ == "__main__":
