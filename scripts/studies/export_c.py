@@ -5,7 +5,7 @@ import subprocess
 from dataclasses import dataclass
 from pathlib import Path
 
-from flexman_gym.common.computer import computer_info
+from flexman_gym.common.computer import computer_text
 from flexman_gym.toolbox.deployment.c_code import begin_agent, write_c
 
 AGENTS = ("pd", "pd-shaped", "lqr", "lqr-tracking", "lqg", "ppo-flexrrr")
@@ -50,9 +50,9 @@ def measure(agent: str, place: Path) -> StepRow:
 
 
 def conditions() -> str:
-    """Return processor, compiler and priority."""
+    """Return processor, versions, compiler and priority."""
     compiler = _run("gcc", "-dumpfullversion").strip()
-    return f"{computer_info()['processor']}, gcc {compiler} -O2, SCHED_FIFO {PRIORITY[-1]}"
+    return f"{computer_text()}, gcc {compiler} -O2, SCHED_FIFO {PRIORITY[-1]}"
 
 
 def _run(*words: str) -> str:

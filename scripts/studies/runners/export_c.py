@@ -8,6 +8,7 @@ from tempfile import TemporaryDirectory
 from flexman_gym.common.markdown import markdown_table
 from studies.evidence import ROOT
 from studies.export_c import AGENTS, StepRow, conditions, measure
+from studies.files import split_made
 from studies.markdown import replaced_part
 from studies.study import Study, Table
 
@@ -19,7 +20,8 @@ def table(rows: Sequence[StepRow], files: Mapping[str, str]) -> list[str]:
     """Return the lines of the table of the page."""
     cells = [(f"`{row.agent}`", f"{row.median:.2f}", f"{row.most:.2f}", f"{row.longest:.0f}", f"{row.cpu_longest:.0f}",
               f"{row.code / 1e3:.1f}", f"{row.state:.0f}") for row in rows]  # fmt: skip
-    return ["", *markdown_table(HEADS, cells), "", f"Processor: {', '.join(files.values())}.", ""]
+    computers = ", ".join(split_made(comment)[0].removeprefix("processor ") for comment in files.values())
+    return ["", *markdown_table(HEADS, cells), "", f"Processor: {computers}.", ""]
 
 
 def steps(options: Namespace) -> Iterator[StepRow]:
