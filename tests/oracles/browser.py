@@ -34,11 +34,12 @@ class Browser:
         with socket.socket() as place:
             place.bind(("127.0.0.1", 0))
             port = place.getsockname()[1]
+        self._origin, self._left = "", set()  # of the page, and of pages that were left
         self._process = subprocess.Popen(["chromedriver", f"--port={port}"], stdout=subprocess.DEVNULL)
         self._root = f"http://127.0.0.1:{port}"
         options = {"binary": shutil.which("chromium"), "args": [*ARGUMENTS, OFFLINE, *more]}
         wanted = {"goog:chromeOptions": options, "goog:loggingPrefs": {"browser": "ALL"}}
-        for _ in range(100):
+        for _ in range(600):
             try:
                 session = self._ask("POST", "/session", {"capabilities": {"alwaysMatch": wanted}})
                 break
@@ -54,6 +55,9 @@ class Browser:
 
     def open(self, address, ready="window.replay !== undefined"):
         """Open a page and wait until it is ready."""
+        origin = "/".join(address.split("/")[:3])
+        self._left = (self._left | {self._origin}) - {origin, ""}
+        self._origin = origin
         self._ask("POST", "/url", {"url": address})
         self.wait(ready)
 
@@ -108,8 +112,9 @@ class Browser:
         self._ask("POST", "/actions", {"actions": [{"type": "key", "id": "keys", "actions": keys}]})
 
     def said(self):
-        """Return the messages of the console."""
-        return [each["message"] for each in self._ask("POST", "/se/log", {"type": "browser"})]
+        """Return the messages of the console, without those of pages of other servers that were left."""
+        messages = [each["message"] for each in self._ask("POST", "/se/log", {"type": "browser"})]
+        return [each for each in messages if not each.startswith(tuple(f"{origin}/" for origin in self._left))]
 
     def picture(self):
         """Return a screenshot, base64 of a PNG."""
