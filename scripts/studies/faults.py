@@ -10,7 +10,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -37,6 +37,7 @@ RECIPES: dict[str, dict[str, Any]] = {
 }  # fmt: skip
 EVERY = {"ppo": 160, "sac": 64}  # steps between checkpoints, short so that saving takes much of the time
 POLL_INTERVAL = 2e-4  # s; a saving takes milliseconds; to wait without a pause takes the time of a processor
+DISK = "8m"  # size of the disk that becomes full
 HEADS = ("fault", "tried", "survived", "lost")
 QUESTION = "What is lost if a training is killed, interrupted, started twice or runs on a full disk?"
 ANSWER = """**{survived} of {tried} trainings that were disturbed could be resumed, and all of these end bitwise
@@ -191,6 +192,17 @@ def _two_at_once(recipe: Path, folder: Path) -> Fault:
     refused = code == 2 and f"process {process.pid} trains in it" in errors
     fine = refused and process.returncode == 0 and same(folder.with_name("ppo-whole"), folder)
     return Fault("two trainings in one folder", 1, int(fine), "nothing; the second is refused in one line")
+
+
+@contextmanager
+def small_disk(folder: Path) -> Iterator[Path]:
+    """Mount a file system of a few MB at a new folder, as root, and yield the folder."""
+    folder.mkdir()
+    subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={DISK}", "tmpfs", str(folder)], check=True)
+    try:
+        yield folder
+    finally:
+        subprocess.run(["umount", str(folder)], check=True)
 
 
 def disk_full(folder: Path, small: Path) -> Fault:

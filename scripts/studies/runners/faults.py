@@ -6,7 +6,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from flexman_gym.common.computer import computer_text
-from studies.faults import Fault, disk_full, faults, page
+from studies.faults import Fault, disk_full, faults, page, small_disk
 from studies.study import Study, Table
 
 
@@ -14,8 +14,8 @@ def measure(options: Namespace) -> Iterator[Fault]:
     """Yield the results of all faults."""
     with TemporaryDirectory() as place:
         yield from faults(Path(place), tuple(options.kills))
-        if options.small:
-            yield disk_full(Path(place), options.small)
+        with small_disk(Path(place) / "small") as small:
+            yield disk_full(Path(place), small)
 
 
 def report(rows: Sequence[Fault]) -> int:
@@ -30,7 +30,6 @@ RUNNER = Study(
     report=report,
     options={
         "--kills": {"type": int, "nargs": 2, "default": (20, 10), "help": "kills per algorithm: saving, any time"},
-        "--small": {"type": Path, "help": "empty file system of a few MB; default: no test of a full disk"},
     },
     comment=lambda _: computer_text(("torch",)),
 )
