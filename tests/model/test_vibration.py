@@ -160,3 +160,12 @@ def test_frequencies_of_a_rotating_arm_do_not_depend_on_gravity():
     weightless = fm.build_model(replace(SPATIAL.arm, gravity=(0.0, 0.0, 0.0)), modes=4)
     rates = [0.0, 3.0]
     assert np.array_equal(rotating_frequencies(SPATIAL, rates), rotating_frequencies(weightless, rates))
+
+
+def test_the_energy_of_a_rigid_rod_on_a_passive_spring_is_in_the_joint():
+    arm = fm.Arm([STRIP], [fm.Joint((0.0, 0.0, 1.0), passive=True, stiffness=8.0)])
+    model = fm.build_model(arm, flexible_links=False)
+    found = fm.modes(model)
+    inertia = fm.mass_matrix(model, np.zeros(2))[0, 0]
+    assert found.frequencies == pytest.approx([np.sqrt(8.0 / inertia) / (2.0 * np.pi)], rel=1e-12)
+    assert dict(zip(found.parts, found.shares[0], strict=True)) == pytest.approx({"link 1": 0.0, "joint 1": 1.0})
