@@ -1,4 +1,7 @@
-"""Train shipped policies again, export them, and write their certificates: python scripts/policy.py ppo-flexrrr"""
+"""Train shipped policies again, export them, and write their certificates: python scripts/policy.py ppo-flexrrr
+
+With --certify, certificates alone: python scripts/policy.py --certify
+"""
 
 import argparse
 import shutil
@@ -12,14 +15,19 @@ from flexman_gym.toolbox.league.certificate import certify
 
 
 def main() -> None:
-    """Train with the recipe and the seed of each policy; replace its files and its certificate."""
+    """Replace the certificate of each policy, after a training with its recipe and seed unless --certify is given."""
     parser = argparse.ArgumentParser(description=__doc__)
     names = ", ".join(POLICIES)
-    parser.add_argument("policy", nargs="*", default=[*POLICIES], help=f"names (default: {names})")
+    parser.add_argument("policy", nargs="*", help=f"names, from {names}; with --certify also none, for all")
     parser.add_argument("--certify", action="store_true", help="write the certificate only, without training")
     parser.add_argument("--folder", type=Path, default="out/policies", help="folder of run, export and episodes")
     options = parser.parse_args()
     for name in options.policy:
+        if name not in POLICIES:
+            parser.error(f"policy: {name} is not allowed; give one of {names}")
+    if not options.policy and not options.certify:
+        parser.error(f"policy: none is not allowed; give one of {names}, or --certify for all")
+    for name in options.policy or POLICIES:
         if not options.certify:
             _train(name, options.folder / name)
         certify(name, folder=options.folder / "episodes")

@@ -53,9 +53,9 @@ def pytest_ignore_collect(collection_path, config):
 
 
 def long_tests():
-    """Return the tests with the marker `long`: names of files, tests, or tests with parameters, or with `[2:]`.
+    """Return the tests with the marker `long`: names of files, tests, or tests with parameters, or with `[n:]`.
 
-    `[2:]` leaves the first two cases of a test without the marker.
+    `[n:]` leaves n cases of a test without the marker, the first ones that are not listed themselves.
     """
     path = Path(__file__).parent / "long_tests.txt"
     lines = path.read_text(encoding="utf-8").splitlines() if path.is_file() else []
@@ -70,8 +70,9 @@ def pytest_collection_modifyitems(config, items):
     for item in items:
         whole, (file, _, _) = item.nodeid.removeprefix("tests/"), item.nodeid.removeprefix("tests/").partition("::")
         test = whole.partition("[")[0]
-        cases[test] += 1
-        if names & {whole, test, file} or cases[test] > kept.get(test, cases[test]):
+        listed = bool(names & {whole, test, file})
+        cases[test] += not listed
+        if listed or cases[test] > kept.get(test, cases[test]):
             item.add_marker("long")
     if config.getoption("--core"):
         chosen = [item for item in items if not item.get_closest_marker("feature")]

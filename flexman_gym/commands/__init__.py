@@ -183,3 +183,30 @@ def load_agent(name: str, trust: bool, environment: "Configuration | None" = Non
 
         return load_sb3(Path(name), environment)
     return find_agent(agent_name(name))
+
+
+def name_unused(
+    source: str, named: "Configuration | None", environment: "Configuration", agents: "Iterable[AgentSpec]"
+) -> None:
+    """Print the settings of an agent in a file of an environment that no agent uses, on standard error.
+
+    Args:
+        source: file of the environment, or its name; conditions of a name bring settings of policies without a message.
+        named: configuration of the source; None without one.
+        environment: configuration of the evaluation.
+        agents: the agents; the policy of a zip has the settings of the file.
+    """
+    from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
+    from flexman_gym.evaluation.agent_spec import INTERFACE
+
+    if named is None or source.partition("/")[0] in NAMED_ENVIRONMENTS:
+        return
+    used = [each.interface or {} for each in agents]
+    unused = [
+        name
+        for name, value in named.given.items()
+        if name in INTERFACE and name not in environment.given and all(each.get(name) != value for each in used)
+    ]
+    if unused:
+        reason = "settings of an agent, which the agents here do not use"
+        print(f"{source} without {', '.join(unused)}: {reason}", file=sys.stderr)

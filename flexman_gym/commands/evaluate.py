@@ -3,7 +3,7 @@
 import argparse
 import sys
 
-from flexman_gym.commands import CommandLine, add_options, load_agent, output_folder
+from flexman_gym.commands import CommandLine, add_options, load_agent, name_unused, output_folder
 
 
 def _arguments(parser: argparse.ArgumentParser) -> None:
@@ -16,11 +16,8 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
 
 def _run(options: argparse.Namespace) -> int:
     """Print one table or JSON document of all agents; return 0, or 2 if an agent is left out."""
-    import gymnasium as gym
-
     from flexman_gym.common.formatting import json_text
     from flexman_gym.envs.config.configuration import Configuration
-    from flexman_gym.evaluation.agent_spec import INTERFACE
     from flexman_gym.evaluation.agents import common_environment
     from flexman_gym.evaluation.metrics import all_metrics, median_intervals
     from flexman_gym.evaluation.rollouts import rollout, save_rollouts
@@ -31,12 +28,7 @@ def _run(options: argparse.Namespace) -> int:
     named = Configuration.find(options.env) if options.env else None
     agents = {name: load_agent(name, options.trust, named) for name in options.agent}
     environment = common_environment(list(agents.values()), named, options.set)
-    from_file = named.given if named and options.env.partition("/")[0] not in gym.registry else {}
-    if unused := [name for name in from_file if name in INTERFACE and name not in environment.given]:
-        reason = "belong to an agent, and each agent has its own"
-        print(
-            f"{options.env} without {', '.join(unused)}: settings of {', '.join(INTERFACE)} {reason}", file=sys.stderr
-        )
+    name_unused(options.env, named, environment, agents.values())
     seeds = range(options.seed, options.seed + options.episodes)
     results, errors = {}, list[Exception]()
     for name, each in agents.items():

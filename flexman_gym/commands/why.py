@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from flexman_gym.commands import CommandLine, add_options, load_agent
+from flexman_gym.commands import CommandLine, add_options, load_agent, name_unused
 
 if TYPE_CHECKING:
     from flexman_gym.toolbox.diagnosis.diagnosis import Diagnosis
@@ -43,9 +43,10 @@ def _run(options: argparse.Namespace) -> int:
         return 0
     named = Configuration.find(options.env) if options.env else None
     environment = common_environment(list(agents.values()), named, options.set)
+    name_unused(options.env, named, environment, agents.values())
     seeds = range(options.seed, options.seed + options.episodes)
     for name, each in agents.items():
-        remedies = REMEDIES if each.law is None or each.environment is None else TRAINING_REMEDIES
+        remedies = REMEDIES if each.law is None else TRAINING_REMEDIES
         title = f"{name} on {options.env or environment.id}"
         print("\n".join(_diagnosis_lines(title, diagnose(each, environment, seeds), remedies)))
     return 0

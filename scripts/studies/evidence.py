@@ -1,4 +1,4 @@
-"""Age of rows, pages, pictures and policies with respect to the code that made them, and making them again."""
+"""Age of rows, pages, pictures and certificates with respect to the code that made them, and making them again."""
 
 import json
 import shlex

@@ -196,13 +196,20 @@ def _two_at_once(recipe: Path, folder: Path) -> Fault:
 
 @contextmanager
 def small_disk(folder: Path) -> Iterator[Path]:
-    """Mount a file system of a few MB at a new folder, as root, and yield the folder."""
+    """Mount a file system of a few MB at a new folder, and yield the folder.
+
+    Raises:
+        OSError: if it cannot be mounted.
+    """
     folder.mkdir()
-    subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={DISK}", "tmpfs", str(folder)], check=True)
+    words = ["mount", "-t", "tmpfs", "-o", f"size={DISK}", "tmpfs", str(folder)]
+    done = subprocess.run(words, capture_output=True, text=True)
+    if done.returncode:
+        raise OSError(f"{folder}: {done.stderr.strip()}; run the study as root, which may mount a small file system")
     try:
         yield folder
     finally:
-        subprocess.run(["umount", str(folder)], check=True)
+        subprocess.run(["umount", "--lazy", str(folder)], check=False)
 
 
 def disk_full(folder: Path, small: Path) -> Fault:

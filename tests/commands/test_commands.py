@@ -15,7 +15,7 @@ import pytest
 import flexman_gym as fm
 from flexman_gym.__main__ import COMMAND_GROUPS, main
 from flexman_gym.agent.base_controllers import BASES
-from flexman_gym.commands import load_scene
+from flexman_gym.commands import load_scene, name_unused
 from flexman_gym.commands.list import KINDS
 from flexman_gym.commands.optimise import PURPOSES
 from flexman_gym.common.registry import REGISTERED
@@ -24,6 +24,7 @@ from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.envs.config.settings import SETTINGS
 from flexman_gym.envs.registration import CONDITIONS
 from flexman_gym.envs.sensors import SENSOR_NAMES
+from flexman_gym.evaluation.agent_spec import AgentSpec
 from flexman_gym.toolbox.diagnosis.diagnosis import REMEDIES, RINGING, TRAINING_REMEDIES, Diagnosis, diagnose
 from flexman_gym.toolbox.league import certificate, page, rows
 from flexman_gym.toolbox.league.rows import EpisodeBlock, LeagueRows
@@ -158,6 +159,13 @@ def test_settings_of_an_agent_in_a_file_are_named_if_unused(tmp_path, capsys):
         assert main(["evaluate", "zero", "--env", str(path), "--episodes", "1"]) == 0
         printed = capsys.readouterr().err
         assert f"{path} without {unused}: " in printed if unused else str(path) not in printed
+    path.write_text("id: FlexOne-v0\nbase: pd\nhistory: 2\n")
+    named = Configuration.find(str(path))
+    used = AgentSpec("policy of a zip", interface={"base": "pd"})
+    name_unused(str(path), named, named.without(["base", "history"]), [used])
+    assert capsys.readouterr().err.startswith(f"{path} without history: ")
+    assert main(["why", "zero", "--env", str(path), "--episodes", "1", "--set", "horizon=0.5"]) == 0
+    assert f"{path} without base, history: " in capsys.readouterr().err
 
 
 def test_an_agent_without_its_package_is_left_out_of_the_table(monkeypatch, capsys):

@@ -1,7 +1,12 @@
 """Study of the first use: phases of new processes, and the page of their medians."""
 
+import os
+import sys
+from argparse import ArgumentTypeError
+
 import pytest
 
+from studies.runners.starts import interpreter
 from studies.starts.measure import COLD, PHASES, WARM, WHEEL, StartRow, start_rows
 from studies.starts.page import page, total
 
@@ -30,3 +35,14 @@ def test_every_phase_of_a_new_process_takes_time():
     measured = list(start_rows(1, None, cold=False))
     assert [row.phase for row in measured] == list(PHASES) and {row.way for row in measured} == {WARM}
     assert all(0.0 < row.wall < 100.0 and 0.0 < row.cpu < 100.0 for row in measured)
+
+
+def test_an_interpreter_is_found_from_any_folder_and_has_the_version_of_the_checkout(tmp_path):
+    assert interpreter(os.path.relpath(sys.executable)).startswith("/")
+    with pytest.raises(ArgumentTypeError, match="nothing does not exist; give the interpreter"):
+        interpreter(str(tmp_path / "nothing"))
+    other = tmp_path / "python"
+    other.write_text("#!/bin/sh\necho 0.1.0\n")
+    other.chmod(0o755)
+    with pytest.raises(ArgumentTypeError, match=r"python has flexman_gym 0\.1\.0; install the wheel of version"):
+        interpreter(str(other))

@@ -27,6 +27,7 @@ from studies.stopwatch import Stopwatch
 
 ABLATED = "ppo_on_pd_minute"
 PICTURE = f"learning_{DEFAULT_ID}.svg"
+# runs of a training; fewer of those that take more than four CPU minutes
 SEEDS = {"ppo_on_pd_minute": 5, "ppo_on_pd": 3, "ppo_alone": 1, "sac_on_pd": 1, "planar_ppo_on_pd": 3,
          "lab_ppo_shaping": 2, "lab_student": 2, "ppo_shaping": 2, "track_ppo_on_pd": 1, "hold_ppo_on_pd": 1,
          "gravity_ppo_on_pd": 1, "planar_track_ppo_on_pd": 1, "planar_hold_ppo_on_pd": 1}  # fmt: skip

@@ -12,10 +12,9 @@ from studies.study import Study, Table
 
 def measure(options: Namespace) -> Iterator[Fault]:
     """Yield the results of all faults."""
-    with TemporaryDirectory() as place:
+    with TemporaryDirectory() as place, small_disk(Path(place) / "small") as small:
         yield from faults(Path(place), tuple(options.kills))
-        with small_disk(Path(place) / "small") as small:
-            yield disk_full(Path(place), small)
+        yield disk_full(Path(place), small)
 
 
 def report(rows: Sequence[Fault]) -> int:
