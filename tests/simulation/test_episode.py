@@ -4,6 +4,7 @@ import csv
 import io
 import json
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -120,3 +121,17 @@ def test_other_files_are_refused_in_one_line(episode, tmp_path, wrong):
 def test_a_file_that_is_not_there_is_said_so(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"a\.npz: there is no such file"):
         Episode.load(tmp_path / "a.npz")
+
+
+def test_positions_of_a_base_are_saved_and_are_columns(episode, tmp_path):
+    moving = replace(episode, bases=np.arange(15.0).reshape(5, 3))
+    again = Episode.load(moving.save(tmp_path / "a.npz"))
+    assert np.array_equal(again.bases, moving.bases) and np.array_equal(again.base_positions, moving.bases)
+    assert np.array_equal(again.columns()["base_z (m)"], moving.bases[:, 2])
+    assert Episode.load(episode.save(tmp_path / "b.npz")).bases is None and not episode.base_positions.any()
+
+
+def test_a_trajectory_that_ended_early_has_its_status_as_failure():
+    whole = fm.simulate(fm.catalog.paper_scene("rr"), step=0.01)
+    assert Episode.from_trajectory(whole).about["failure"] == ""
+    assert Episode.from_trajectory(replace(whole, status="not finite")).about["failure"] == "not finite"

@@ -22,7 +22,7 @@ def interpreter(text: str) -> str:
     path = Path(text).absolute()
     if not path.is_file():
         raise ArgumentTypeError(f"{text} does not exist; give the interpreter of an environment with a wheel")
-    words = [path, "-c", "from importlib.metadata import version; print(version('flexman_gym'))"]
+    words = [str(path), "-c", "from importlib.metadata import version; print(version('flexman_gym'))"]
     done = subprocess.run(words, cwd=path.parent, capture_output=True, text=True)
     if done.stdout.strip() != __version__:
         found = done.stdout.strip() or "none"
