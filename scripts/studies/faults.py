@@ -26,7 +26,7 @@ TRAIN = "-m", "flexman_gym", "train"
 PART = f".{NEWEST}.part"
 ENVIRONMENT = {
     "id": "FlexOne-v0", "base": "pd", "action_repeat": 5, "sensors": ["full", "fine"], "horizon": 2.0,
-    "randomisation": {"payload_mass": [0.0, 0.1], "delay": [0, 2], "sensor_noise": [0.0, 0.01]},
+    "randomisation": {"payload_mass": [0.0, 0.1], "delay": [0, 1], "sensor_noise": [0.0, 0.01]},
 }  # fmt: skip
 RECIPES: dict[str, dict[str, Any]] = {
     "ppo": {"algo": "ppo", "steps": 24_000, "envs": 16, "hyperparameters": {"n_steps": 10, "net_arch": [64, 64]}},
