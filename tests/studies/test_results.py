@@ -111,7 +111,7 @@ def test_the_number_of_episodes_on_a_page_is_that_of_its_rows(results):
     assert "share of the 7 or 100 test episodes" in words
     assert (
         "| given: biased readings | 7 | 100 % (65 to 100) |" in words
-        and "| extreme: delay 3 | 40 |" in words
+        and "| extreme: noise 0.3 % | 40 |" in words
         and "with 40 episodes for each value" in words
     )
     assert "20 episodes each: `privileged-lqr`" in words
