@@ -34,7 +34,7 @@ class Browser:
         with socket.socket() as place:
             place.bind(("127.0.0.1", 0))
             port = place.getsockname()[1]
-        self._origin, self._left, self._said = "", set(), []  # of the page, of pages that were left, and messages
+        self._origin, self._left = "", set()  # of the page, and of pages that were left
         self._process = subprocess.Popen(["chromedriver", f"--port={port}"], stdout=subprocess.DEVNULL)
         self._root = f"http://127.0.0.1:{port}"
         options = {"binary": shutil.which("chromium"), "args": [*ARGUMENTS, OFFLINE, *more]}
@@ -55,8 +55,6 @@ class Browser:
 
     def open(self, address, ready="window.replay !== undefined"):
         """Open a page and wait until it is ready."""
-        # a page may ask a server that a test has closed, until it is left
-        self._said = [each for each in self.said() if "ERR_CONNECTION_REFUSED" not in each]
         origin = "/".join(address.split("/")[:3])
         self._left = (self._left | {self._origin}) - {origin, ""}
         self._origin = origin
@@ -114,11 +112,13 @@ class Browser:
         self._ask("POST", "/actions", {"actions": [{"type": "key", "id": "keys", "actions": keys}]})
 
     def said(self):
-        """Return new messages of the console, without those that pages of other servers sent after they were left."""
+        """Return new messages of the console, without refused connections of pages that were left.
+
+        Until such a page is left, it asks a server that a test has closed.
+        """
         messages = [each["message"] for each in self._ask("POST", "/se/log", {"type": "browser"})]
         left = tuple(f"{origin}/" for origin in self._left)
-        before, self._said = self._said, []
-        return before + [each for each in messages if not each.startswith(left)]
+        return [each for each in messages if not ("ERR_CONNECTION_REFUSED" in each and each.startswith(left))]
 
     def picture(self):
         """Return a screenshot, base64 of a PNG."""
