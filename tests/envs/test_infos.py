@@ -90,10 +90,3 @@ def test_call_gives_what_gymnasiums_own_gives():
         ours.get_attr("rewarding")
     with pytest.raises(ValueError, match=r"^call: 'reset' is not allowed; give a method that an arm has alone"):
         ours.call("reset", seed=3)
-
-
-def test_the_info_at_the_end_is_that_of_the_last_step_only():
-    env = gym.make("FlexOne-v0", infos="at end", horizon=0.1)
-    assert env.reset(seed=0)[1] == {}
-    infos = [env.step(np.zeros(1, dtype=np.float32))[4] for _ in range(5)]
-    assert infos[:4] == [{}] * 4 and infos[4]["status"] == "ok"
