@@ -20,8 +20,8 @@ def table(rows: Sequence[StepRow], files: Mapping[str, str]) -> list[str]:
     """Return the lines of the table of the page."""
     cells = [(f"`{row.agent}`", f"{row.median:.2f}", f"{row.most:.2f}", f"{row.longest:.0f}", f"{row.cpu_longest:.0f}",
               f"{row.code / 1e3:.1f}", f"{row.state:.0f}") for row in rows]  # fmt: skip
-    computers = ", ".join(split_made(comment)[0].removeprefix("processor ") for comment in files.values())
-    return ["", *markdown_table(HEADS, cells), "", f"Processor: {computers}.", ""]
+    computers = ", ".join(split_made(comment)[0] for comment in files.values())
+    return ["", *markdown_table(HEADS, cells), "", f"Measured with {computers}.", ""]
 
 
 def steps(options: Namespace) -> Iterator[StepRow]:
