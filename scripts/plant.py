@@ -2,12 +2,24 @@
 
 import argparse
 import sys
+from functools import partial
 from pathlib import Path
 
 from flexman_gym.common.computer import computer_text
 from flexman_gym.common.parallel import Workers, parallel_map_unordered
 from studies.files import folder, made_comment, read_comments, read_rows, today, write_rows
-from studies.planted.measure import CAUGHT, CHECKOUT, PARTS, SURVIVED, Planted, kept, misplaced, planted
+from studies.planted.measure import (
+    CHECKOUT,
+    PARTS,
+    SURVIVED,
+    Planted,
+    is_current,
+    kept,
+    misplaced,
+    passing,
+    planted,
+    with_first_test,
+)
 from studies.planted.page import counts, page
 
 
@@ -16,37 +28,35 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--part", choices=PARTS, help="part of the library; default: all parts")
     parser.add_argument("--only", default="", help="only errors whose description or file contains this text")
-    parser.add_argument("--new", action="store_true", help="skip errors that the rows record as caught")
+    parser.add_argument("--anew", action="store_true", help="run errors again that have a row of the present code")
     parser.add_argument("--redraw", action="store_true", help="write the page from the rows of an earlier run")
     parser.add_argument("--folder", type=folder, default="docs/evidence", help="folder of the page and its rows")
-    parser.add_argument("--kept", type=folder, help="folder of outcomes, from which an interrupted run resumes")
     Workers.arguments(parser)
     options = parser.parse_args()
     file = options.folder / "planted.csv"
     if options.redraw:
         _write_page(file)
         return 0
-    done = kept(options.kept / file.name) if options.kept else {}
-    rows = kept(file) | done
-    known = done.keys() | {key for key, row in rows.items() if options.new and row.outcome == CAUGHT}
+    rows = kept(file)
     chosen = [
         change
         for change in (change for name, every in PARTS.items() if options.part in (None, name) for change in every)
-        if options.only in f"{change.error} {change.file}" and (change.part, change.error) not in known
+        if options.only in f"{change.error} {change.file}" and (options.anew or not is_current(change, rows))
     ]
     if faults := misplaced(CHECKOUT, chosen):
         parser.error("; ".join(faults))
-    for _, row in parallel_map_unordered(planted, chosen, Workers.of(options)):
+    chosen = [with_first_test(change, rows.get((change.part, change.error))) for change in chosen]
+    first = sorted({change.first for change in chosen if change.first})
+    task = partial(planted, green=passing(first) if len(first) > 1 else ())
+    for _, row in parallel_map_unordered(task, chosen, Workers.of(options)):
         print(f"{row.outcome:10} {row.seconds:4.0f} s  {row.part}: {row.error} ({row.by})", flush=True)
-        rows[row.part, row.error] = done[row.part, row.error] = row
-        if options.kept:
-            write_rows([*done.values()], options.kept / file.name)
+        rows[row.part, row.error] = row
         result = [rows[change.part, change.error] for every in PARTS.values() for change in every
                  if (change.part, change.error) in rows]  # fmt: skip
         write_rows(result, file, 2, made_comment(computer_text(), today(), len(result)))
         _write_page(file)
     if not chosen:
-        print("no error matches the options")
+        print("no error matches the options, or all have rows of the present code")
         return 0
     for part, *numbers in counts(result):
         print(part, *numbers)

@@ -10,6 +10,7 @@ from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from pkgutil import resolve_name
 from resource import RUSAGE_CHILDREN, getrusage
 from typing import Any, NamedTuple
 
@@ -56,6 +57,7 @@ class EvidenceStudy:
         built: folder in which the commands write, if they run only what is missing there; its files are copied to their
             places at the end.
         code: files and folders that the study uses in processes that cannot be traced.
+        outdated: function, as "module:name", that returns which rows are older than their code, if each has a digest.
         budget: largest CPU time, min; of studies that take hours.
     """
 
@@ -68,6 +70,7 @@ class EvidenceStudy:
     folder: str = "docs/evidence"
     built: str = ""
     code: Sequence[str] = ()
+    outdated: str = ""
     budget: float | None = None
 
 
@@ -119,8 +122,8 @@ class Checkout:
         files.write_atomically(path, lambda file: file.write(text.encode()))
 
     def minutes(self, study: EvidenceStudy) -> float:
-        """Return the CPU time of a study, min: measured when it was made, else its estimate."""
-        return float(self.record(study.name).get("minutes", study.minutes))
+        """Return the CPU time of all rows of a study, min: measured when they were made, else its estimate."""
+        return study.minutes if study.outdated else float(self.record(study.name).get("minutes", study.minutes))
 
     def rows_age(self, study: EvidenceStudy) -> Age:
         """Return the age of the rows of a study."""
@@ -128,7 +131,8 @@ class Checkout:
         age = self._age(study.rows, known.get("rows"))
         if age.state in (CURRENT, STALE) and study.code and known["folders"] != hash_of(study.code, self.root):
             return Age(STALE, [*age.changes, *study.code])
-        return age
+        changes = resolve_name(study.outdated)(self.root) if study.outdated and age.state in (CURRENT, STALE) else ()
+        return Age(STALE, [*age.changes, *changes]) if changes else age
 
     def drawing_age(self, study: EvidenceStudy) -> Age:
         """Return the age of the pages and charts of a study, which depend on its rows."""

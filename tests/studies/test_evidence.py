@@ -173,6 +173,16 @@ def test_code_of_processes_without_a_trace_is_hashed_whole(study, tmp_path):
 
 
 @pytest.mark.slow
+def test_rows_with_a_digest_each_are_older_than_their_code_one_by_one(study, tmp_path, monkeypatch):
+    single = replace(study, outdated="studies.planted.measure:outdated", minutes=7.0)
+    monkeypatch.setattr("studies.planted.measure.outdated", lambda root: [])
+    make(single, tmp_path, neutral=())
+    assert state(single, tmp_path) == CURRENT and Checkout(tmp_path, ()).minutes(single) == 7.0
+    monkeypatch.setattr("studies.planted.measure.outdated", lambda root: [f"{root.name}: 3 errors"])
+    assert Checkout(tmp_path, ()).rows_age(single) == (STALE, [f"{tmp_path.name}: 3 errors"])
+
+
+@pytest.mark.slow
 def test_a_page_that_is_older_than_its_code_says_so_at_its_top(study, tmp_path):
     drawn, site = replace(study, drawn=["docs/page.md"], redraw="draw.py"), tmp_path / "site"
     (tmp_path / "docs" / "page.md").write_text("")

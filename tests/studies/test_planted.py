@@ -1,5 +1,6 @@
 """Tests of the planted errors: the error files match the sources, and outcomes are classified correctly."""
 
+import shutil
 import subprocess
 from dataclasses import replace
 from pathlib import Path
@@ -7,7 +8,22 @@ from pathlib import Path
 import pytest
 
 from studies.files import write_rows
-from studies.planted.measure import CAUGHT, EQUIVALENT, PARTS, SURVIVED, Change, Copy, Planted, changes, kept, misplaced
+from studies.planted.measure import (
+    CAUGHT,
+    EQUIVALENT,
+    PARTS,
+    SURVIVED,
+    Change,
+    Copy,
+    Planted,
+    changes,
+    code_of,
+    is_current,
+    kept,
+    misplaced,
+    outdated,
+    with_first_test,
+)
 
 from oracles.assertions import refusal
 from oracles.files import command
@@ -88,10 +104,52 @@ def test_the_part_is_chosen_by_its_option(tmp_path, monkeypatch, capsys):
     assert "no error matches" in capsys.readouterr().out
 
 
-def test_an_interrupted_run_goes_on_with_the_errors_that_it_has_not_tried(tmp_path, monkeypatch, capsys):
-    first = next(iter(PARTS["model"]))
-    write_rows([Planted(first.part, first.error, first.file, CAUGHT, "a test", 1.0)], tmp_path / "planted.csv")
-    call = ["plant", "--only", first.error, "--folder", str(tmp_path / "new"), "--kept", str(tmp_path)]
-    monkeypatch.setattr("sys.argv", call)
+def test_only_errors_without_a_row_of_the_present_code_run_again(tmp_path, monkeypatch, capsys):
+    first, second, *_ = PARTS["model"]
+    old = Planted(first.part, first.error, first.file, CAUGHT, "a test", 1.0, "of an older source")
+    new = replace(old, part=second.part, error=second.error, code=code_of(second))
+    rows = {(row.part, row.error): row for row in (old, new)}
+    assert [is_current(change, rows) for change in PARTS["model"][:3]] == [False, True, False]
+    write_rows([new], tmp_path / "planted.csv")
+    monkeypatch.setattr("sys.argv", ["plant", "--only", second.error, "--folder", str(tmp_path)])
     assert command("plant").main() == 0
-    assert "no error matches" in capsys.readouterr().out
+    assert "have rows of the present code" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("edited", ["double.py", "test_double.py"])
+def test_a_row_is_outdated_by_its_source_and_by_its_tests(checkout, tmp_path, edited):
+    other = tmp_path / "edited"
+    shutil.copytree(checkout, other)
+    text = (other / edited).read_text()
+    (other / edited).write_text(f"# a comment\n{text}")
+    assert code_of(DOUBLE, other) == code_of(DOUBLE, checkout)
+    edited_again = tmp_path / "again"
+    shutil.copytree(checkout, edited_again)
+    (edited_again / edited).write_text(text.replace("2", "3"))
+    assert code_of(DOUBLE, edited_again) != code_of(DOUBLE, checkout)
+    assert code_of(replace(DOUBLE, new="x / 3"), checkout) != code_of(DOUBLE, checkout)
+
+
+def test_outdated_errors_are_counted_by_part(tmp_path, monkeypatch):
+    monkeypatch.setattr("studies.planted.measure.PARTS", {"part": [DOUBLE, replace(DOUBLE, error="doubles")]})
+    assert outdated(tmp_path) == ["part: 2 errors"]
+
+
+@pytest.mark.slow
+def test_the_test_that_caught_an_error_before_runs_first(checkout, tmp_path):
+    (checkout / "test_other.py").write_text("import double\n\n\ndef test_two():\n    assert double.double(2) == 4\n")
+    copy = Copy(checkout, tmp_path / "copy")
+    assert copy.plant(replace(DOUBLE, first="test_other.py::test_two")).by == "test_other.py::test_two"
+    blind = replace(DOUBLE, old="0 * abs(x)", new="abs(x - 1)", tests=("test_other.py",))
+    assert copy.plant(replace(blind, first="test_double.py::test_one")).by == "test_other.py::test_two"
+    assert copy.passing(["test_double.py", "test_other.py::test_two"]) == [
+        "test_double.py::test_one", "test_other.py::test_two",
+    ]  # fmt: skip
+
+
+def test_an_earlier_test_that_is_gone_does_not_run():
+    row = Planted("part", "halves", "double.py", CAUGHT, "studies/test_planted.py::test_that_is_gone[1]", 1.0)
+    assert with_first_test(DOUBLE, row) == DOUBLE == with_first_test(DOUBLE, None)
+    name = test_an_earlier_test_that_is_gone_does_not_run.__name__
+    known = with_first_test(DOUBLE, replace(row, by=f"studies/test_planted.py::{name}[a case]"))
+    assert known.first == f"tests/studies/test_planted.py::{name}"
