@@ -159,6 +159,46 @@ def test_arms_are_independent_and_the_observer_is_stable_in_saturation(plant):
         np.testing.assert_array_equal(alone.act(own, np.zeros((1, 1)), active[:1])[0], both_actions[1])
 
 
+def test_without_deviations_the_torque_is_the_feed_forward_of_the_delayed_period_also_after_missing_readings(plant):
+    late = plant._replace(delay=(1, 2))
+    controller, places = hinf.HInfinity(late, SENSORS), MeasurementModel(late, SENSORS).places
+    controller.reset(np.array([0]), fm.control.EpisodeInfo(np.zeros((1, 1)), np.array([[0.3]]), late.period), 1)
+    _, reference, forward = controller._loops[0]
+    active = np.ones(1, dtype=bool)
+    for now in range(40):
+        if now in (5, 6, 20):
+            controller.skip(active)
+            continue
+        readings = {name: reference[now : now + 1, place] for name, place in places.items()}
+        np.testing.assert_allclose(controller.act(readings, np.zeros((1, 1)), active), forward[now + 2 : now + 3])
+    assert np.ptp(forward[:42]) > 0.01 and np.abs(forward).max() < 1.0, "torques change, within the limits"
+
+
+def test_the_feed_forward_holds_coulomb_friction_while_the_motor_turns(plant):
+    goal, torques = np.array([0.3]), []
+    arm = fm.catalog.gu_2005()
+    for friction in (0.0, 1.5):
+        joint = replace(arm.joints[0], coulomb_friction=friction)
+        rubbing = plant._replace(model=fm.build_model(replace(arm, joints=(joint,)), 2))
+        torques.append(hinf.HInfinity(rubbing, SENSORS)._reference(np.zeros(1), goal, None, 0)[1][:, 0])
+    difference = torques[1] - torques[0]
+    middle = len(difference) // 2
+    np.testing.assert_allclose(difference[middle - 3 : middle + 3], 1.5, rtol=1e-3)
+    assert difference[-1] == 0.0, "at rest"
+
+
+def test_noise_of_unit_size_is_three_deviations_and_at_least_a_thousandth_of_the_range(plant):
+    ranges = MeasurementModel(plant, SENSORS).ranges
+    for deviation, share in ((0.0, 1e-3), (0.01, 0.03)):
+        quiet = plant._replace(measured=lambda deviation=deviation: {
+            name: errors * np.array([1.0, 0.0, 1.0, 1.0])[:, None] + np.outer([0.0, deviation, 0.0, 0.0], errors[0])
+            for name, errors in plant.measured().items()
+        })  # fmt: skip
+        system = GeneralisedPlant.linearised(quiet, MeasurementModel(quiet, SENSORS), GOAL).system
+        y = len(ranges)
+        np.testing.assert_allclose(system.D[-y:, -1 - y : -1], np.diag(share * ranges))
+
+
 @pytest.mark.parametrize("name", ["FlexRotary-v0", "FlexRRR-v0/payload"])
 def test_the_agent_settles(name):
     assert fm.evaluate("hinf", name, range(9000, 9003))["settled"] == 1.0
