@@ -6,6 +6,11 @@ from collections import Counter
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
+
+# the first example of a test loads or compiles kernels, for any time on a loaded computer
+settings.register_profile("untimed", settings.default, deadline=None)
+settings.load_profile("untimed")
 
 FEATURES = ("flexman_gym.toolbox", "flexman_gym.commands", "flexman_agents", "studies", "torch", "stable_baselines3",
             "sb3_contrib")  # fmt: skip

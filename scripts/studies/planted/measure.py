@@ -60,7 +60,7 @@ LONGEST = 900  # s; time limit of the tests of one change; a hanging test counts
 # Hypothesis profile of the copy: no shrinking, since the first failing example suffices and shrinking takes minutes
 SETTINGS = """from hypothesis import Phase, settings
 
-settings.register_profile("planted", phases=[Phase.explicit, Phase.generate])
+settings.register_profile("planted", deadline=None, phases=[Phase.explicit, Phase.generate])
 settings.load_profile("planted")
 """
 FAILED, NOTHING_FAILED, INTERRUPTED = 1, 0, 2  # exit statuses of pytest
