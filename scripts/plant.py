@@ -2,6 +2,7 @@
 
 import argparse
 import sys
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 
@@ -24,7 +25,7 @@ from studies.planted.page import counts, page
 
 
 def main() -> int:
-    """Plant the chosen errors and write rows and page; return 1 if an error survives."""
+    """Plant the chosen errors and write rows and page; return 1 if an error survives or has no outcome."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--part", choices=PARTS, help="part of the library; default: all parts")
     parser.add_argument("--only", default="", help="only errors whose description or file contains this text")
@@ -48,19 +49,30 @@ def main() -> int:
     chosen = [with_first_test(change, rows.get((change.part, change.error))) for change in chosen]
     first = sorted({change.first for change in chosen if change.first})
     task = partial(planted, green=passing(first) if len(first) > 1 else ())
+    failures = []  # errors whose tests fail without them; they get no row
     for _, row in parallel_map_unordered(task, chosen, Workers.of(options)):
+        if isinstance(row, str):
+            print(f"no outcome: {row}", flush=True)
+            failures.append(row)
+            continue
         print(f"{row.outcome:10} {row.seconds:4.0f} s  {row.part}: {row.error} ({row.by})", flush=True)
         rows[row.part, row.error] = row
-        result = [rows[change.part, change.error] for every in PARTS.values() for change in every
-                 if (change.part, change.error) in rows]  # fmt: skip
+        result = _in_order(rows)
         write_rows(result, file, 2, made_comment(computer_text(), today(), len(result)))
         _write_page(file)
     if not chosen:
         print("no error matches the options, or all have rows of the present code")
         return 0
+    result = _in_order(rows)
     for part, *numbers in counts(result):
         print(part, *numbers)
-    return int(any(row.outcome == SURVIVED for row in result))
+    return int(bool(failures) or any(row.outcome == SURVIVED for row in result))
+
+
+def _in_order(rows: Mapping[tuple[str, str], Planted]) -> list[Planted]:
+    """Return the rows of the errors that are in the tables, in the order of the tables."""
+    every = [(change.part, change.error) for part in PARTS.values() for change in part]
+    return [rows[key] for key in every if key in rows]
 
 
 def _write_page(file: Path) -> None:

@@ -22,6 +22,7 @@ from studies.planted.measure import (
     kept,
     misplaced,
     outdated,
+    planted,
     with_first_test,
 )
 
@@ -69,11 +70,14 @@ def test_an_error_is_caught_or_survives_or_is_equivalent(checkout, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_test_that_is_red_without_an_error_catches_none(checkout, tmp_path):
+def test_a_test_that_is_red_without_an_error_catches_none(checkout, tmp_path, monkeypatch):
     (checkout / "test_double.py").write_text("def test_never():\n    assert False\n")
     copy = Copy(checkout, tmp_path / "copy")
     with pytest.raises(RuntimeError, match=r"test_double.py::test_never also fails without a planted error"):
         copy.plant(DOUBLE)
+    monkeypatch.setattr("studies.planted.measure._copy", lambda: copy)
+    assert planted(DOUBLE) == "part: halves: test_double.py::test_never also fails without a planted error"
+    assert planted(DOUBLE, ["test_double.py::test_never"]).outcome == CAUGHT, "taken as green"
 
 
 def test_an_error_without_its_place_is_told(checkout):

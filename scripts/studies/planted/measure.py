@@ -87,8 +87,8 @@ class Planted:
     code: str = ""
 
 
-def planted(change: Change, green: Iterable[str] = ()) -> Planted:
-    """Plant an error in the checkout copy of this process and return its outcome.
+def planted(change: Change, green: Iterable[str] = ()) -> Planted | str:
+    """Plant an error in the checkout copy of this process and return its outcome, or why there is none.
 
     Args:
         change: the error.
@@ -96,7 +96,10 @@ def planted(change: Change, green: Iterable[str] = ()) -> Planted:
     """
     copy = _copy()
     copy.green.update(green)
-    return copy.plant(change)
+    try:
+        return copy.plant(change)
+    except RuntimeError as error:
+        return f"{change.part}: {change.error}: {error}"
 
 
 def passing(tests: Sequence[str]) -> list[str]:

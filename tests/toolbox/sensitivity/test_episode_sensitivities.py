@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import flexman_gym as fm
+import flexman_gym.evaluation.rollouts  # loaded before `unrounded` changes it
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.evaluation.agent_spec import AgentSpec
 from studies.derivatives.differences import allowed, deviations, remainder_orders
