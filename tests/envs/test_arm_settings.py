@@ -51,6 +51,14 @@ def test_a_slew_lasts_at_least_a_period_of_the_first_mode():
     assert facts.held == pytest.approx([1.0 / period]) and facts.durations == pytest.approx(period)
 
 
+def test_a_free_rotor_and_a_rod_have_the_frequency_of_two_masses_and_no_zero_frequency():
+    arm, inertia = rod(stiffness=2.0)
+    expected = np.sqrt(2.0 / inertia + 2.0 / INERTIA) / (2.0 * np.pi)
+    assert arm_facts(arm, [1000.0], SPAN).free == pytest.approx([expected])
+    planar = arm_facts(fm.catalog.vertical_2r(), [1000.0, 1000.0], SPAN)
+    assert np.all(np.array(planar.free) > planar.held), "the first modes are stiffer with free motors (interlacing)"
+
+
 def test_the_holding_torque_of_a_level_rod_is_its_weight_times_its_lever():
     arm, _ = rod(gravity=(0.0, 0.0, -9.81), axis=(0, 1, 0), torque_limit=30.0)
     facts = arm_facts(arm, [30.0], SPAN)
