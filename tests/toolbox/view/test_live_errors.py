@@ -12,6 +12,8 @@ from flexman_gym.__main__ import main
 from flexman_gym.evaluation.agents import find_agent
 from flexman_gym.toolbox.view.live_session import LiveSession
 
+from oracles.waiting import wait_until
+
 ERRORS = [RuntimeError("CUDA\nerror"), KeyError("goal"), TypeError("no"), OSError(5, "gone"), IndexError("9"),
           ValueError("bad"), ZeroDivisionError("by zero"), AssertionError(), NotImplementedError("x")]  # fmt: skip
 TEXTS = ["RuntimeError: CUDA error", "KeyError: 'goal'", "TypeError: no", "[Errno 5] gone", "IndexError: 9", "bad",
@@ -75,8 +77,7 @@ def test_any_error_of_an_agent_pauses_the_page_with_its_message(error, text, ses
     session.command({"step": 5})
     assert session.state()["message"] == "" and len(session._rows[0]) >= 6
     session.command({"pause": False})
-    while len(session._rows[0]) < 9:
-        threading.Event().wait(0.01)
+    wait_until(lambda: len(session._rows[0]) >= 9)
 
 
 def test_the_message_names_the_one_of_two_agents_that_fails(tmp_path, monkeypatch, message):

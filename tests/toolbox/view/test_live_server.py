@@ -13,6 +13,8 @@ import pytest
 from flexman_gym.toolbox.view import live_server
 from flexman_gym.toolbox.view.live_server import HOSTS, MAX_CONNECTIONS, LiveServer
 
+from oracles.waiting import wait_until
+
 
 class Source:
     """A page with controls, that records its messages, and a stream of one event."""
@@ -140,8 +142,7 @@ def test_dropped_connections_print_nothing(server, capfd):
         with connect(server) as connection:
             connection.sendall(part.encode())
     assert ask(server, f"/{server.token}/")[0] == 200
-    while any("process_request" in thread.name for thread in threading.enumerate()):
-        threading.Event().wait(0.01)
+    wait_until(lambda: not any("process_request" in thread.name for thread in threading.enumerate()))
     assert capfd.readouterr().err == ""
 
 
@@ -154,27 +155,22 @@ def test_a_connection_that_sends_no_whole_request_is_closed(server, monkeypatch)
                   + b"Content-Type: application/json\r\nContent-Length: 99\r\n\r\n{"):  # fmt: skip
         with connect(server) as connection:
             connection.sendall(start)
-            while not closed(connection):
-                pass
+            wait_until(lambda connection=connection: closed(connection))
     with connect(server) as connection:
         connection.sendall(b"GET / HTTP/1.0\r\nX: ")
         with pytest.raises(ConnectionError):
-            while True:  # each byte is in time
-                connection.sendall(b"x")
-                threading.Event().wait(0.01)
+            wait_until(lambda: connection.sendall(b"x"))  # each byte is in time
     assert server.source.messages == []
 
 
 def test_the_number_of_connections_is_bounded(server):
     """One more is closed at once, and is answered as soon as another one has ended."""
     held = [connect(server) for _ in range(MAX_CONNECTIONS)]
-    while server._free._value:
-        threading.Event().wait(0.01)
+    wait_until(lambda: not server._free._value)
     with connect(server) as more:
         assert closed(more)
     held.pop().close()
-    while not server._free._value:
-        threading.Event().wait(0.01)
+    wait_until(lambda: server._free._value)
     assert ask(server, f"/{server.token}/") == (200, b"page")
     for each in held:
         each.close()
