@@ -56,7 +56,8 @@ class Change:
 CHECKOUT = Path(__file__).parents[3]
 ROWS = "docs/evidence/planted.csv"
 CAUGHT, SURVIVED, EQUIVALENT = "caught", "survived", "equivalent"
-LONGEST = 900  # s; time limit of the tests of one change; a hanging test counts as a failure
+# s; time limit of the tests of one change, in compiled kernels and elsewhere; a hanging test counts as a failure
+LONGEST, LONGEST_IN_PYTHON = 900, 300
 # Hypothesis profile of the copy: no shrinking, since the first failing example suffices and shrinking takes minutes
 SETTINGS = """from hypothesis import Phase, settings
 
@@ -220,10 +221,11 @@ class Copy:
         Raises:
             RuntimeError: if a test does not exist.
         """
+        longest = LONGEST if own_kernels else LONGEST_IN_PYTHON
         try:
-            done = self._pytest(["-x", *tests], own_kernels, LONGEST)
+            done = self._pytest(["-x", *tests], own_kernels, longest)
         except subprocess.TimeoutExpired:
-            return f"timeout after {LONGEST} s"
+            return f"timeout after {longest} s"
         if done.returncode == NOTHING_FAILED:
             return ""
         for line in done.stdout.splitlines():
