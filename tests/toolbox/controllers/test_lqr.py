@@ -248,8 +248,10 @@ def test_an_arm_that_starts_at_its_goal_is_held_more_tightly():
     assert (loose < 0.0).all() and (tight < 1.2 * loose).all() and after == pytest.approx(loose, rel=1e-6)
 
 
-def test_feed_forward_leaves_a_part_of_the_limits_for_feedback():
-    controller = designed(TrackingLQR)
+@pytest.mark.parametrize("timing", ["time-optimal", "quintic"])
+def test_feed_forward_leaves_a_part_of_the_limits_for_feedback(timing):
+    regulator = designed(TrackingLQR)
+    controller = TrackingLQR(regulator.model, regulator.limits, regulator.period, timing=timing)
     starts, goals = postures(controller, 1)
     controller.reset(np.array([0]), EpisodeInfo(starts, goals, PERIOD), 1)
     asked = np.array([controller.act({"state": state}) for state in controller._schedules[0].states])
