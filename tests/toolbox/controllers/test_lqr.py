@@ -248,14 +248,12 @@ def test_an_arm_that_starts_at_its_goal_is_held_more_tightly():
     assert (loose < 0.0).all() and (tight < 1.2 * loose).all() and after == pytest.approx(loose, rel=1e-6)
 
 
-@pytest.mark.parametrize("timing", ["time-optimal", "quintic"])
-def test_feed_forward_leaves_a_part_of_the_limits_for_feedback(timing):
-    regulator = designed(TrackingLQR)
-    controller = TrackingLQR(regulator.model, regulator.limits, regulator.period, timing=timing)
-    starts, goals = postures(controller, 1)
+def test_feed_forward_leaves_a_part_of_the_limits_for_feedback():
+    controller = designed(TrackingLQR)
+    starts, goals = postures(controller, 1, seed=3)  # a slew that the torques limit
     controller.reset(np.array([0]), EpisodeInfo(starts, goals, PERIOD), 1)
     asked = np.array([controller.act({"state": state}) for state in controller._schedules[0].states])
-    assert 0.9 * FEEDFORWARD_FRACTION < np.abs(asked).max() <= 1.01 * FEEDFORWARD_FRACTION < 0.97
+    assert 0.95 * FEEDFORWARD_FRACTION < np.abs(asked).max() <= 1.01 * FEEDFORWARD_FRACTION < 0.97
 
 
 def test_along_a_path_gains_and_torques_are_those_of_the_moment():
