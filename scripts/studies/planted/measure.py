@@ -57,7 +57,7 @@ CHECKOUT = Path(__file__).parents[3]
 ROWS = "docs/evidence/planted.csv"
 CAUGHT, SURVIVED, EQUIVALENT = "caught", "survived", "equivalent"
 # s; time limit of the tests of one change, in compiled kernels and elsewhere; a hanging test counts as a failure
-LONGEST, LONGEST_IN_PYTHON = 900, 300
+LONGEST, LONGEST_IN_PYTHON = 900, 600
 # Hypothesis profile of the copy: no shrinking, since the first failing example suffices and shrinking takes minutes
 SETTINGS = """from hypothesis import Phase, settings
 
