@@ -291,7 +291,7 @@ def test_a_slew_set_by_torques_is_quicker_than_the_quintic():
 
 
 @pytest.mark.parametrize(
-    "bounds", [{"rates": 0.01}, {"vibrations": 40.0}, {"limits": 1e3 * LIMITS}], ids=lambda each: next(iter(each))
+    "bounds", [{"rates": 0.1}, {"vibrations": 40.0}, {"limits": 1e3 * LIMITS}], ids=lambda each: next(iter(each))
 )
 def test_a_slew_that_torques_do_not_set_is_a_quintic_to_the_bit(bounds):
     """Rates, the first mode, or motors so strong that the slew is shorter than a few periods of a mode."""

@@ -117,6 +117,20 @@ def test_what_is_watched_is_what_happened():
         assert modes["mode 1, motors held"] == pytest.approx(held[0, 0])
 
 
+def test_the_energy_that_a_log_dissipates_is_that_of_its_simulation(monkeypatch):
+    """Without Coulomb friction, up to the error of a sum over the control periods."""
+    soft, environment = (
+        {"kind": "pd", "stiffness": [20.0, 8.0], "damping": [2.0, 0.5]},
+        Configuration("FlexPlanar-v0", {"horizon": 3.4}),
+    )
+    ((simulated, _),) = diagnosis._episode_ends(soft, environment, [7])
+    found, split = [], diagnosis._split_error
+    monkeypatch.setattr(diagnosis, "_split_error", lambda end, modes: (found.append(end), split(end, modes))[1])
+    diagnosis.diagnose_log(rollout(soft, environment, [7]).episode(0))
+    (logged,) = found
+    assert np.ptp(logged.loss) == pytest.approx(np.ptp(simulated.loss), rel=0.02) and np.ptp(simulated.loss) > 1e-4
+
+
 def unstable(scale, stiffness, damping):
     """A PD with its torques beyond the gain that the arm bears with a delay of one period."""
     setup = Configuration("FlexPlanar-v0", {"arm": FLAT})

@@ -315,6 +315,39 @@ def test_a_change_keeps_the_limits_of_all_possible_models():
     assert worst[0] > 1.03 and worst[1] < 1.0, worst
 
 
+def test_torques_beyond_the_limits_of_a_possible_model_are_not_confirmed():
+    """Those confirmed keep the limits of both payloads; some keep those of the lighter one only."""
+    plant, arm, confirmed, largest = plant_of(), np.array([0]), [], []
+    safety = filter_of(plant, ONE, TwoPayloads(plant, 5.0 * plant.model.constants.payload_mass[0]))
+    d, motors, state = plant.model.n_dof, plant.model.motor_columns, np.zeros(2 * plant.model.n_dof)
+    state[d:][0] = state[d:][motors] = 2.3
+    filtered(safety, [0.0], state)
+    for action in np.linspace(0.0, 1.0, 21)[:, None]:
+        cases = safety._cases(arm)
+        confirmed.append(safety._confirm(arm, cases, action[None])[0][0])
+        largest.append(np.abs(safety._predict(cases, action[None, None])[0][0]).max(axis=(1, 2)))
+    light, heavy = np.array(largest).T < REMAINDER + TOLERANCE
+    assert heavy[confirmed].all() and any(confirmed) and (light & ~heavy).any()
+
+
+def test_the_predicted_brake_damps_the_rates_of_all_torques_before():
+    """Those of the agent in periods without a prediction, too: its damper is that of a simulation with them."""
+    plant = plant_of()
+    safety = filter_of(plant, {"strain": 1.0})
+    batch = Batch(plant.model, METHOD, plant.integration[1], plant.period, arms=1)
+    batch.reset(np.array([0]), np.zeros((1, 2 * plant.model.n_dof)))
+    agent, rates, applied = [0.2, 0.5, -0.3, 0.4], [], np.zeros(1)
+    for action in agent:
+        applied = filtered(safety, [action], batch.state[0], applied)
+        assert applied == action and safety.status[0] == PASSED
+        batch.step(np.hstack([applied * plant.torque_limit, np.zeros(6)])[None])
+        rates.append(batch.state[0, plant.model.n_dof :][plant.model.motor_columns][0])
+    assert safety._check_ages[0] == 0, "one prediction, in the first period"
+    scale = -BRAKE * plant.gains()["damping"][0] / plant.torque_limit[0]
+    assert safety._backup[0, 0, 0] == pytest.approx(scale * rates[-1], rel=0.02)
+    assert abs(scale * rates[-1]) > 0.01
+
+
 def test_torques_between_the_brake_and_those_of_the_agent(monkeypatch):
     """Where models differ too much after the torques of the agent, some about those of the brake are found."""
     plant, stops = plant_of(), []
