@@ -11,6 +11,8 @@ from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.envs.vector_env import FlexManVectorEnv
 
+OFF = {"tip_impulse": None, "tip_load": None, "base_sway": None}
+
 
 def drives(env, steps):
     """What moved the arms (T, b, n + 6), without torques."""
@@ -23,13 +25,22 @@ def drives(env, steps):
 
 
 def test_without_disturbances_a_held_arm_stays_where_it_is():
-    off = {"tip_impulse": None, "tip_load": None, "base_sway": None}
-    env = FlexManEnv(name="FlexRRR-Hold-v0", randomisation=off)
+    env = FlexManEnv(name="FlexRRR-Hold-v0", randomisation=OFF)
     _, info = env.reset(seed=1)
     for _ in range(50):
         _, reward, _, _, info = env.step(np.zeros(3))
         assert info["tip_error"] < 1e-12 and reward == pytest.approx(1.0)
     assert info["drawn"] == {}
+
+
+def test_the_reward_of_a_moved_hold_is_the_same_with_weights_of_one():
+    """The terms in Python are those of the compiled reward."""
+    rewards = []
+    for weights in (None, {"distance": 1.0}):
+        env = FlexManEnv(name="FlexRRR-Hold-v0", randomisation=OFF, reward=weights)
+        env.reset(seed=1)
+        rewards.append([env.step(np.full(3, 0.3))[1] for _ in range(50)])
+    assert rewards[1] == pytest.approx(rewards[0], rel=1e-9) and np.ptp(rewards[0]) > 0.3
 
 
 def test_a_hold_names_its_disturbances_and_a_randomisation_goes_before_them():

@@ -1,5 +1,6 @@
 """Real-time loop: the torques of a simulation on a machine that is one, and an arm at rest after each fault."""
 
+import signal
 from dataclasses import replace
 
 import numpy as np
@@ -19,6 +20,7 @@ from flexman_gym.toolbox.deployment.machine.simulated import SILENT_PERIODS, Sim
 from flexman_gym.toolbox.deployment.machine.state_estimate import StateEstimate
 from flexman_gym.toolbox.diagnosis.diagnosis import diagnose, diagnose_log
 
+from oracles.assertions import refusal
 from oracles.machines import FakeMachine
 
 pytestmark = pytest.mark.slow
@@ -171,6 +173,40 @@ def test_each_fault_is_reported_and_ends_at_rest_within_the_limits(fault, agent,
     assert log.about["failure"] == text
     assert len(log.time) < 20 and log.about["machine"]["rest_seconds"] is not None
     _assert_rest(machine)
+
+
+def test_a_signal_is_a_fault_and_ends_at_rest():
+    def interrupt(machine, readings):
+        if len(machine.commands) == 10 and not machine.arm.reason:
+            signal.raise_signal(signal.SIGTERM)
+        return readings
+
+    handler = signal.getsignal(signal.SIGTERM)
+    machine = FakeMachine(ENVIRONMENT, 9000, ENCODERS, interrupt)
+    log = run("pd", machine)
+    assert log.about["failure"] == "interrupted by SIGTERM" and len(log.time) < 20
+    assert signal.getsignal(signal.SIGTERM) == handler
+    _assert_rest(machine)
+
+
+def test_readings_that_contradict_the_commands_are_a_fault():
+    """An angle shifted by 0.2 rad; the arm is then not known to be at rest."""
+
+    def shift(machine, readings):
+        shifted = readings["motor_angles"] + 0.2 * (len(machine.commands) >= 10)
+        return readings | {"motor_angles": shifted}
+
+    log = run("pd", FakeMachine(ENVIRONMENT, 9000, ENCODERS, shift))
+    failure = log.about["failure"]
+    assert failure.startswith("reading motor_angles[0] is ") and failure.endswith("by the model")
+    assert len(log.time) < 20 and log.about["machine"]["rest_seconds"] is None
+
+
+def test_a_machine_with_another_number_of_motors_is_refused():
+    machine = FakeMachine(ENVIRONMENT, 9000, ENCODERS)
+    machine.quantities["motor_rates"] = 2
+    line = refusal(run, "pd", machine)
+    assert line == "machine: '2 values of motor_rates' is not allowed; give 1, the number of this arm"
 
 
 def _assert_rest(machine):

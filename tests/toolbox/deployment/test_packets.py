@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from flexman_gym.toolbox.deployment.machine import packets
 from flexman_gym.toolbox.deployment.machine.packets import (
     COMMAND,
     HELLO,
@@ -85,7 +86,12 @@ def test_a_jump_to_the_largest_sequence_number_is_accepted_once_and_nothing_afte
     assert receiver.accept(reading(5, 6.0)) is None and receiver.accept(reading(2**64 - 1, 7.0)) is None
 
 
-def test_a_packet_of_another_version_is_no_packet_but_known_as_one():
+def test_a_packet_of_another_version_is_no_packet_but_known_as_one(monkeypatch):
+    """Also one whose checksum is right."""
     data = reading(1)
+    monkeypatch.setattr(packets, "VERSION", 1)
+    older = reading(1)
+    monkeypatch.undo()
+    assert Packet.decode(older) is None and other_version(older) == 1
     assert other_version(data) is None and other_version(b"") is None and other_version(b"XM\x01") is None
     assert other_version(data[:2] + b"\x01" + data[3:]) == 1

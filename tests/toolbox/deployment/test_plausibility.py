@@ -36,9 +36,9 @@ class Arm:
         return {name: measured[name][0].copy() for name in NAMES} | {"torques": self.torques.copy()}
 
 
-def contradiction(arm, lie=lambda readings, k: readings, periods=60, torques=lambda k: TORQUE, actual=None):
+def contradiction(arm, lie=lambda now, k: now, periods=60, torques=lambda k: TORQUE, actual=None, plant=PLANT):
     """Return the period and the text of the first contradiction, by readings `lie(readings, k)`; None without one."""
-    test = InnovationTest(PLANT, [arm.readings()] * 3)
+    test = InnovationTest(plant, [arm.readings()] * 3)
     for k in range(periods):
         test.advance(torques(k))
         arm.step((actual or torques)(k))
@@ -89,6 +89,14 @@ def test_a_lost_sample_is_no_contradiction():
 
 def test_an_arm_at_rest_repeats_its_readings_without_a_contradiction():
     assert contradiction(Arm(), torques=lambda k: 0.0 * TORQUE) is None
+
+
+def test_an_arm_that_waits_for_late_torques_repeats_its_readings_without_a_contradiction():
+    """Observers with shorter delays predict a motion before it begins."""
+    late = REPEATS + 4
+    arm, plant = Arm(), PLANT._replace(delay=(0, late))
+    assert contradiction(arm, torques=lambda k: 10.0 * TORQUE, actual=lambda k: 10.0 * TORQUE * (k >= late),
+                         plant=plant) is None  # fmt: skip
 
 
 def test_a_coarse_encoder_is_no_contradiction():

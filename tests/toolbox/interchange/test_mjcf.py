@@ -90,8 +90,9 @@ def test_frequencies_are_ours(mujoco, name):
             assert motors or np.allclose(found[:2], expected[:2], rtol=0.01)
 
 
-def test_the_site_is_the_tip_and_the_masses_are_there(mujoco):
-    model, data = read(mujoco, ODD, 2)
+@pytest.mark.parametrize("pieces", [0, 2])
+def test_the_site_is_the_tip_and_the_masses_are_there(mujoco, pieces):
+    model, data = read(mujoco, ODD, pieces)
     assert model.body_mass.sum() == pytest.approx(sum(link.mass for link in ODD.links) + PAYLOAD.mass, rel=1e-12)
     ours = fm.Simulator(fm.build_model(ODD, flexible_links=False)).tip
     assert np.allclose(data.site("tip").xpos, ours, rtol=0.0, atol=1e-12)
