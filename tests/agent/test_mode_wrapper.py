@@ -1,6 +1,7 @@
 """Wrappers of action modes: members, state, preparation and times equal those of the mode without a wrapper."""
 
 import ast
+from copy import deepcopy
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from flexman_gym.agent.mode_wrapper import ModeWrapper
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.env import FlexManEnv
 from flexman_gym.evaluation.action_clock import ActionClock, TimedMode
+from flexman_gym.evaluation.agent_spec import BASELINES
 from flexman_gym.evaluation.agents import find_agent
 from flexman_gym.evaluation.rollouts import RolloutLoop, rollout
 
@@ -156,6 +158,21 @@ def test_input_shaping_prepares_its_inner_controller_and_has_its_estimates():
     shaped.prepare(loop.episodes.view.action.copy(), ~loop.episodes.over)
     assert not np.array_equal(inner.observer.states, before)
     assert shaped.estimates == inner.estimates
+
+
+@pytest.mark.feature
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [name for name in BASELINES if name != "optimised"])  # it has a table of one arm
+def test_a_deep_copy_of_a_designed_agent_acts_as_the_agent(name):
+    """Each rollout acts with a copy, so that several may share an agent."""
+    pytest.importorskip({"mpc": "daqp", "hinf": "slycot"}.get(name, "numpy"))
+    environment = Configuration("FlexOne-v0", {"horizon": 0.1})
+    agent = find_agent(name).designed(environment)
+    first, second = (rollout(each, environment, [9000]).torques for each in (agent, deepcopy(agent)))
+    assert np.array_equal(first, second, equal_nan=True)
+    loop = RolloutLoop(agent, environment, [9000])
+    loop.step()
+    deepcopy(loop.episodes.base)  # also of one in the middle of an episode
 
 
 @pytest.mark.feature

@@ -1,8 +1,7 @@
 """Model predictive control within the torque limits, with nonlinear predictions by the simulator."""
 
 from collections.abc import Sequence
-from types import ModuleType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -134,7 +133,7 @@ class MPC:
         planner: PlannedLQR | None = None,
     ) -> None:
         self._planner, self._planning_time = planner, np.zeros(0)
-        self._daqp = optional_module("daqp", "the MPC", "mpc")
+        _solver()  # says at once that the package is missing
         reach = float(check_model(model).constants.length.sum())
         self.model, self.period, self._integration = model, period, integration
         self.limits = np.array(torque_limits("torque_limit", torque_limit, model.n_joints))
@@ -147,7 +146,11 @@ class MPC:
         self._planned, self._now = np.zeros((0, sum(self._blocks), model.n_joints)), np.zeros(0, dtype=np.int64)
         plant = Plant(model, tuple(self.limits.tolist()), period, dict, integration=integration)
         self._compensation = FrictionCompensation(plant)
-        self._batch = self._make_batch(1)
+        self._batch: Batch | None = None  # of the predictions, from the first on
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the attributes without the batch, which cannot be copied and whose state does not last."""
+        return {**vars(self), "_batch": None}
 
     def _make_batch(self, count: int) -> Batch:
         return Batch(self._compensation.model, *self._integration, self.period, arms=count)
@@ -194,7 +197,7 @@ class MPC:
     def act(self, readings: Readings, applied: Array, active: BoolArray) -> Array:
         """Return the actions (b, n) for the states; 0 for inactive arms."""
         states = np.asarray(readings["state"], dtype=np.float64)
-        if len(self._batch.rows) != len(states):
+        if self._batch is None or len(self._batch.rows) != len(states):
             self._batch = self._make_batch(len(states))
         self._batch.reset(np.arange(len(states)), np.where(active[:, None], states, 0.0))
         drives = np.zeros((*self._planned.shape[:2], self.model.n_joints + 6))  # torques, tip force, base acceleration
@@ -226,7 +229,7 @@ class MPC:
             mean = (np.add.reduceat(planned, firsts) / np.array(self._blocks)[:, None]).ravel()
             gradient = row_dots(horizon.jacobian, residuals) + torque_residuals
             low, high = np.maximum(-1.0 - mean, -MAX_CHANGE), np.minimum(1.0 - mean, MAX_CHANGE)
-            changes = _solve_quadratic_program(self._daqp, horizon.curvature, gradient, low, high)
+            changes = _solve_quadratic_program(horizon.curvature, gradient, low, high)
             planned = np.clip(planned + np.repeat(changes.reshape(-1, n), self._blocks, axis=0), -1.0, 1.0)
         self._planned[arm] = np.vstack([planned[1:], np.clip(plan.torques[rows[-1]], -1.0, 1.0)])
         self._now[arm] += 1
@@ -253,9 +256,14 @@ class MPC:
         return np.concatenate([np.hstack(running).ravel(), row_dots(horizon.terminal, states[-1])])
 
 
-def _solve_quadratic_program(daqp: ModuleType, curvature: Array, gradient: Array, low: Array, high: Array) -> Array:
+def _solver() -> Any:
+    """Return the module daqp, which the controller does not keep: objects with modules cannot be copied."""
+    return optional_module("daqp", "the MPC", "mpc")
+
+
+def _solve_quadratic_program(curvature: Array, gradient: Array, low: Array, high: Array) -> Array:
     """Return x (m,) between low and high with least x H x / 2 + g x, curvature H (m, m), gradient g; 0 on failure."""
-    changes, _, status, _ = daqp.solve(curvature, gradient, np.zeros((0, len(gradient))), high, low)
+    changes, _, status, _ = _solver().solve(curvature, gradient, np.zeros((0, len(gradient))), high, low)
     return np.array(changes) if status > 0 else np.clip(np.zeros(len(gradient)), low, high)
 
 

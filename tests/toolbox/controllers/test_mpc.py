@@ -163,7 +163,7 @@ def test_between_two_postures_slopes_are_between_theirs():
 def test_changes_stay_within_their_bounds_and_cost_the_least():
     """Of a cost without coupling each bound cuts its own change off."""
     low, high = np.array([-1.0, -0.5, -0.2]), np.array([0.1, 0.5, 1.0])
-    changes = mpc._solve_quadratic_program(daqp, np.diag([1.0, 2.0, 4.0]), np.array([-3.0, 4.0, 0.4]), low, high)
+    changes = mpc._solve_quadratic_program(np.diag([1.0, 2.0, 4.0]), np.array([-3.0, 4.0, 0.4]), low, high)
     assert changes == pytest.approx([0.1, -0.5, -0.1])
 
 
