@@ -322,6 +322,16 @@ def test_factors_of_covariances_are_those_of_the_inverse():
     assert not again[1].any() and np.array_equal(again[[0, 2]], factors[[0, 2]])
 
 
+def test_factors_exist_where_measurements_determine_few_combinations_of_parameters():
+    """By the identity of Woodbury; the offset of the diagonal limits the accuracy."""
+    jacobian = np.random.default_rng(0).standard_normal((12, 3))
+    for weight, error in ((1e4, 1e-6), (1e8, 1e-2), (1e14, 1.0)):
+        information = np.eye(12) + weight * jacobian @ jacobian.T
+        exact = np.eye(12) - jacobian @ np.linalg.solve(np.eye(3) / weight + jacobian.T @ jacobian, jacobian.T)
+        factors = covariance_factors(information[None])[0]
+        assert factors @ factors.T == pytest.approx(exact, abs=error)
+
+
 def test_bounded_changes_minimise_the_cost_within_the_bounds():
     """An entry beyond its bound stays at it, and the gradient of the quadratic cost with respect to the others is 0."""
     random = np.random.default_rng(5)

@@ -399,11 +399,13 @@ def standard_deviations(information: Array) -> Array:
 def covariance_factors(information: Array) -> Array:
     """Return Cholesky factors L (r, p, p) of the covariances L L^T for information matrices (r, p, p).
 
-    Factors of non-finite matrices are 0.
+    They are inverses of the factors U^T of the scaled information U U^T, as an inverse of a nearly singular matrix need
+    not be positive definite after rounding. Factors of non-finite matrices are 0.
     """
     finite: BoolArray = np.all(np.isfinite(information), axis=(1, 2))
     matrix, scale = _unit_diagonal(np.where(finite[:, None, None], information, np.eye(information.shape[1])))
-    result: Array = scale[:, :, None] * np.linalg.cholesky(np.linalg.inv(matrix))
+    upper = np.linalg.cholesky(matrix[:, ::-1, ::-1])[:, ::-1, ::-1]
+    result: Array = scale[:, :, None] * np.linalg.inv(upper).transpose(0, 2, 1)
     return np.where(finite[:, None, None], result, 0.0)
 
 
