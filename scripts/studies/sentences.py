@@ -148,13 +148,13 @@ def _agreement(sources: Sources) -> tuple[str]:
 
 
 def _violations(sources: Sources) -> tuple[str, ...]:
-    """Return violations, moves and largest excess (%) of the safety filter with known and with uncertain parameters."""
-    result: list[str] = []
-    for condition in ("nominal", "uncertain"):
-        rows = [row for row in sources.safety if row.condition == condition]
-        counts = (sum(getattr(row, name) for row in rows) for name in ("violations", "moves"))
-        result += [f"{count:.0f}" for count in counts] + [f"{100.0 * max(row.largest for row in rows):.2g}"]
-    return tuple(result)
+    """Return violations and moves of the safety filter, with known and with uncertain parameters; largest excess, %."""
+    conditions = [[row for row in sources.safety if row.condition == name] for name in ("nominal", "uncertain")]
+    counts = [sum(getattr(row, name) for row in rows) for rows in conditions for name in ("violations", "moves")]
+    largest = max(row.largest for rows in conditions for row in rows)
+    if largest <= 0.0:
+        raise ValueError(f"largest excess: {largest}; the sentence is true for moves that exceed a limit")
+    return (*(f"{count:.0f}" for count in counts), f"{100.0 * largest:.2g}")
 
 
 def _second_hub(sources: Sources) -> tuple[str]:
@@ -236,8 +236,8 @@ SENTENCES = (  # with numbers of stored rows
         _steps,
     ),
     Sentence(
-        r"(\d+) of (\d+) moves of the known arm, by up to ([\d.]+) %, "
-        r"and (\d+) of (\d+) with all parameters uncertain, by up to ([\d.]+) %",
+        r"moves with the safety filter that exceed a limit: (\d+) of (\d+) moves of the known arm and (\d+) of (\d+) "
+        r"with all parameters uncertain, by up to ([\d.]+) %",
         _violations,
     ),
     Sentence(
