@@ -157,6 +157,21 @@ def _violations(sources: Sources) -> tuple[str, ...]:
     return (*(f"{count:.0f}" for count in counts), f"{100.0 * largest:.2g}")
 
 
+def _attacks(sources: Sources) -> tuple[str, ...]:
+    """Return violations and moves of the trained attack, and what searches found with the filter (largest excess, %).
+
+    They are those of tracking and of random torques, the latter with the number beyond 2 % and of all tried moves, and
+    the largest with a pulse.
+    """
+    (attack,) = (row for row in sources.safety if row.agent == "PPO to violate")
+    still = {row.agent: row for row in sources.worst_moves if row.safety and not row.pulse}
+    track, random = still["lqr-tracking"], still["random"]
+    pulsed = max(row.excess for row in sources.worst_moves if row.safety and row.pulse)
+    tried = f"{random.beyond:.0f}", f"{random.evaluations:.0f}"
+    excess = [f"{100.0 * each:.2g}" for each in (track.excess, random.excess, pulsed)]
+    return (f"{attack.violations:.0f}", f"{attack.moves:.0f}", *excess[:2], *tried, excess[2])
+
+
 def _second_hub(sources: Sources) -> tuple[str]:
     """Return R2 of the second hub angle, computed from motor currents."""
     (row,) = (row for row in sources.machine if (row.part, row.run, row.what) == SECOND_HUB)
@@ -239,6 +254,13 @@ SENTENCES = (  # with numbers of stored rows
         r"moves with the safety filter that exceed a limit: (\d+) of (\d+) moves of the known arm and (\d+) of (\d+) "
         r"with all parameters uncertain, by up to ([\d.]+) %",
         _violations,
+    ),
+    Sentence(
+        r"(\d+) of (\d+) moves of a policy trained to exceed the limits do so. In `unknown-lab` a "
+        r"\[search\]\(evidence/safety_worst.csv\) over payload, stiffness, start and goal found at most "
+        r"([\d.]+) % above a limit for `lqr-tracking`, ([\d.]+) % for random torques "
+        r"\((\d+) of (\d+) tried moves are beyond 2 %\), and ([\d.]+) % with a pulse of force on the tip",
+        _attacks,
     ),
     Sentence(
         r"with (\d+) random arms and uncertain parameters `adaptive-lqr` settles ([^)]*\)) of the slews, "

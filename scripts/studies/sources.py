@@ -15,6 +15,7 @@ from studies.learning.measure import LearningRow
 from studies.machine.measure import FitRow
 from studies.results import Results
 from studies.safety.measure import SafetyRow
+from studies.safety.worst_case import WorstRow
 from studies.starts.measure import StartRow
 
 Kind = TypeVar("Kind")
@@ -71,6 +72,11 @@ class Sources:
     def safety(self) -> list[SafetyRow]:
         """Moves with the safety filter."""
         return self.rows("safety.csv", SafetyRow)
+
+    @cached_property
+    def worst_moves(self) -> list[WorstRow]:
+        """Largest excess of the searches for moves that exceed the limits."""
+        return self.rows("safety_worst.csv", WorstRow)
 
     @cached_property
     def learning(self) -> list[LearningRow]:
