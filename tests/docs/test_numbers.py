@@ -61,9 +61,12 @@ def test_the_limits_that_pages_name_for_the_study_are_those_of_the_environments(
 def test_sentences_about_the_filter_have_the_worst_rows_of_its_study():
     rows = read_rows(DOCS / "evidence" / "safety.csv", SafetyRow)
     text = " ".join(README.split())
-    for condition in ("nominal", "uncertain"):
-        largest = max(row.largest for row in rows if row.condition == condition)
-        assert f"by up to {100.0 * largest:.2g} %" in text
+    largest = max(row.largest for row in rows if row.condition in ("nominal", "uncertain"))
+    assert f"by up to {100.0 * largest:.2g} %. Set the limits that much lower" in text
+    for condition, words in (("nominal", "moves of the known arm"), ("uncertain", "with all parameters uncertain")):
+        own = [row for row in rows if row.condition == condition]
+        counts = [f"{sum(getattr(row, name) for row in own):.0f}" for name in ("violations", "moves")]
+        assert f"{counts[0]} of {counts[1]} {words}" in text
     assert "under any agent" not in text and "limits that hold" not in PAGES["safety.md"]
 
 
