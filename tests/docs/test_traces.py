@@ -179,7 +179,8 @@ def sources():
         LeagueRows([row for row in league.rows.values() if row.scenario in (DEFAULT_ID, UNKNOWN)], cells)
     )
 
-    sentences = "\n\n".join(re.search(each.pattern.replace(" ", r"\s+"), README).group() for each in SENTENCES)
+    pages = README + (ROOT / "docs" / "safety.md").read_text(encoding="utf-8")
+    sentences = "\n\n".join(re.search(each.pattern.replace(" ", r"\s+"), pages).group() for each in SENTENCES)
 
     def of_sentences(name):
         def text(rows):
