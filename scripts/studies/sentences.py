@@ -158,18 +158,20 @@ def _violations(sources: Sources) -> tuple[str, ...]:
 
 
 def _attacks(sources: Sources) -> tuple[str, ...]:
-    """Return violations and moves of the trained attack, and what searches found with the filter (largest excess, %).
+    """Return what attacks on the safety filter found, in the order of the sentence.
 
-    They are those of tracking and of random torques, the latter with the number beyond 2 % and of all tried moves, and
-    the largest with a pulse.
+    Violations and moves of the trained attack; largest excess of tracking and of random torques, %; random moves beyond
+    2 %, and all of them; largest excess with a pulse, %.
     """
     (attack,) = (row for row in sources.safety if row.agent == "PPO to violate")
-    still = {row.agent: row for row in sources.worst_moves if row.safety and not row.pulse}
-    track, random = still["lqr-tracking"], still["random"]
-    pulsed = max(row.excess for row in sources.worst_moves if row.safety and row.pulse)
-    tried = f"{random.beyond:.0f}", f"{random.evaluations:.0f}"
-    excess = [f"{100.0 * each:.2g}" for each in (track.excess, random.excess, pulsed)]
-    return (f"{attack.violations:.0f}", f"{attack.moves:.0f}", *excess[:2], *tried, excess[2])
+    filtered = [row for row in sources.worst_moves if row.safety]
+    without_pulse = {row.agent: row for row in filtered if not row.pulse}
+    tracking, random = without_pulse["lqr-tracking"], without_pulse["random"]
+    pulsed = max(row.excess for row in filtered if row.pulse)
+    return (
+        f"{attack.violations:.0f}", f"{attack.moves:.0f}", f"{100.0 * tracking.excess:.2g}",
+        f"{100.0 * random.excess:.2g}", f"{random.beyond:.0f}", f"{random.evaluations:.0f}", f"{100.0 * pulsed:.2g}",
+    )  # fmt: skip
 
 
 def _second_hub(sources: Sources) -> tuple[str]:

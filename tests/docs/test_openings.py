@@ -134,4 +134,5 @@ def test_training_inside_the_safety_filter_is_as_the_page_says():
     assert all(0.3 < row.violating / row.episodes < 0.4 for row in kinds["free"])
     assert all((row.violations == 0.0) == (row.filtered == "True") for row in rows)
     assert abs(inside["settling"] - free["settling"]) < 0.1 < ended["settling"] - free["settling"]
-    assert 5.5 < inside["cpu"] / free["cpu"] < 11.0, "six to ten times on two processors"
+    page = " ".join((DOCS / "safety.md").read_text(encoding="utf-8").split())
+    assert f"The training inside takes {inside['cpu'] / free['cpu']:.1g} times the CPU time." in page
