@@ -22,6 +22,9 @@ TORQUE_SCALE = 1.5  # dimensionless; torque of unit cost / torque ratio of the a
 # Motor rate of unit cost / planned rate, where slews reach at least a fifth of the planned rates, as with limits that
 # follow from the arm. It increases with the square of this ratio: rates far below a generous limit need no cost.
 RATE_SCALE, USUAL_RATIO = 0.3, 5.0
+# Factor of torques and motor rates of unit cost for a regulator whose torques act on the whole distance to the goal, or
+# on noise: with 1, five arms of users leave their limits three times as often.
+EXPENSIVE_FACTOR = 0.3
 REQUIRED = ("tip", "tip_speed", "motor")  # weights that a mapping must contain
 
 
@@ -65,6 +68,19 @@ class CostWeights(NamedTuple):
             tuple(rates.tolist()),
             min(1.0, TORQUE_SCALE * scales.torque_ratio),
         )
+
+    @classmethod
+    def expensive(cls, model: Model, scales: ArmScales) -> "CostWeights":
+        """Return the cost weights of expensive control, for a regulator without a planned slew or the true state.
+
+        Tip deviation and tip speed of unit cost are those of `NamedWeights`, torques and motor rates 0.3 of the default
+        ones. The design "named" has `NamedWeights`.
+        """
+        named, default = NamedWeights.of_reach(model), cls.default(model, scales)
+        if scales.named:
+            return named
+        rates = tuple((EXPENSIVE_FACTOR * np.array(default.motor_rate)).tolist())
+        return cls(*named[:3], rates, EXPENSIVE_FACTOR * default.torque)
 
     def gain(self, linear: LinearModel, motors: Array, limits: Array, period: float) -> Array:
         """Return the gain K (m, 2 d) of the sampled LQR, torques = -K x, for states x relative to the equilibrium.

@@ -27,7 +27,7 @@ from flexman_gym.model.state_space import LinearModel, discretize
 from flexman_gym.model.statics import holding_torques, rest_state
 from flexman_gym.simulation.linearization import linearize
 from flexman_gym.simulation.physical_parameters import ARM, PARAMETERS, UNCERTAIN
-from flexman_gym.toolbox.controllers.arm_scales import ArmScales, SlewBounds
+from flexman_gym.toolbox.controllers.arm_scales import ArmScales
 from flexman_gym.toolbox.controllers.cost_weights import CostWeights, NamedWeights, parse_weights
 from flexman_gym.toolbox.controllers.observers.observer import MeasurementModel, default_sensors
 from flexman_gym.toolbox.controllers.observers.perturbed_models import UncertainParameters
@@ -385,7 +385,7 @@ class HInfinity:
         plant: plant model with its uncertain parameters, delay and noise of the instruments.
         sensors: see `MeasurementModel`; None for motor encoders and strain, or the link encoders of a plant with these.
         loss: see `GeneralisedPlant.synthesise`.
-        weights: cost weights of the performance outputs, a mapping as for "lqg"; None for those of the reach.
+        weights: cost weights of the performance outputs, a mapping as for "lqg"; None for `CostWeights.expensive`.
     """
 
     state_fields = ("_states", "_now")
@@ -397,9 +397,8 @@ class HInfinity:
         sensors = default_sensors(plant, ("motor_encoders", "strain")) if sensors is None else sensors
         self._plant, self._instruments, self._loss = plant, MeasurementModel(plant, sensors), positive("loss", loss)
         self.sensors, self._model, self._limits = tuple(sensors), centred_model(plant), np.array(plant.torque_limit)
-        scales = ArmScales.of_plant(plant)
-        self._delay, self._rates = (sum(plant.delay) + 1) // 2, np.array(scales.rates)
-        self._weights = parse_weights(weights, scales)
+        self._delay, self._scales = (sum(plant.delay) + 1) // 2, ArmScales.of_plant(plant)
+        self._weights = parse_weights(weights, self._scales) or CostWeights.expensive(plant.model, self._scales)
         self._designs: dict[bytes, Synthesis] = {}
         self._loops: dict[int, tuple[Synthesis, Array, Array]] = {}  # arm -> design, reference, feed-forward
         self._now = np.zeros(0, dtype=np.int64)
@@ -432,7 +431,7 @@ class HInfinity:
         held = max(np.abs(holding_torques(free, start + part * (goal - start)) / self._limits).max() for part in PARTS)
         fraction = float(held + SLEW_FRACTION * (1.0 - held))
         slew = (
-            plan_slew(free, start, goal, SlewBounds(self._limits, fraction, self._rates), self._plant.period)
+            plan_slew(free, start, goal, self._scales.bounds(self._limits, fraction), self._plant.period)
             if paths is None
             else plan_path(free, paths[i], self._plant.period)
         )

@@ -263,24 +263,24 @@ class TrackingLQR(LQR):
         return gain, schedule.states[row], schedule.torques[row]
 
 
-def _maker(regulator: type[LQR]) -> Callable[..., LQR]:
+def _maker(regulator: type[LQR], usual: Callable[[Model, ArmScales], CostWeights]) -> Callable[..., LQR]:
     def make(plant: Plant, weights: object = None, design: object = None, **options: Any) -> LQR:
         scales = ArmScales.of_plant(plant, design)
-        chosen = parse_weights(weights, scales)
+        chosen = parse_weights(weights, scales) or usual(plant.model, scales)
         return regulator(plant.model, plant.torque_scales, plant.period, chosen, scales=scales, **options)
 
     return make
 
 
 LQR_ENTRY = ControllerEntry(
-    _maker(LQR),
+    _maker(LQR, CostWeights.expensive),
     ("model", "true state"),
     ("weights", "design"),
     "a linear-quadratic regulator about the goal",
     passive="some",
 )
 TRACKING_ENTRY = ControllerEntry(
-    _maker(TrackingLQR),
+    _maker(TrackingLQR, CostWeights.default),
     ("model", "true state"),
     ("weights", "design", "timing"),
     "a linear-quadratic regulator that tracks a smooth slew, or a path",

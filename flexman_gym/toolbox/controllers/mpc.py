@@ -19,7 +19,7 @@ from flexman_gym.model.statics import holding_torques, rest_state
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.linearization import linearize
 from flexman_gym.simulation.methods import DEFAULT_METHOD, Method
-from flexman_gym.toolbox.controllers.arm_scales import ArmScales, SlewBounds
+from flexman_gym.toolbox.controllers.arm_scales import ArmScales
 from flexman_gym.toolbox.controllers.cost_weights import MOTOR_WEIGHT, CostWeights
 from flexman_gym.toolbox.controllers.friction_compensation import FrictionCompensation
 from flexman_gym.toolbox.controllers.references.planned_slews import JACOBIAN_TIME, PlannedLQR, make_planned
@@ -139,7 +139,7 @@ class MPC:
         self.limits = np.array(torque_limits("torque_limit", torque_limit, model.n_joints))
         self._weights = CostWeights(TIP_SCALE * reach, TIP_SPEED_SCALE * reach, MOTOR_WEIGHT)
         scales = scales or ArmScales.of(model, self.limits)
-        self._bounds = SlewBounds(self.limits, REFERENCE_TORQUE, np.array(scales.rates))
+        self._bounds = scales.bounds(self.limits, REFERENCE_TORQUE)
         self._unit = scales.unit(period)
         self._blocks = tuple(self._unit * block for block in MOVE_BLOCKS)  # control periods
         self._plans: list[_Plan] = []

@@ -67,6 +67,7 @@ class PlannedLQR(TrackingLQR):
         self._regression, self.thinking = regression, thinking
         self._budget = round(self.thinking / JACOBIAN_TIME)
         self._models, self._rate_limit = InternalModels(plant), plant.rate_limit
+        self._motion_limits = plant.limits() if plant.limits else None
         self._band = BAND * float(plant.model.constants.length.sum())
         self.status, self.arrivals, self.jacobians = np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0, np.int64)
 
@@ -101,9 +102,12 @@ class PlannedLQR(TrackingLQR):
         self._start(arm, self._plan_schedule(start, goal, interpolate_torques(found.knots, found.periods)))
 
     def find(self, start: Array, goal: Array) -> tuple[SlewTorques | None, int]:
-        """Return the slew optimised between motor angles (n,) rad, None if none settles, and the number of Jacobians.
+        """Return the slew optimised between motor angles (n,) rad, and the number of Jacobians.
 
         Without a table of the arm the search of `SingleShooting` begins with a planned slew.
+
+        Returns:
+            Slew, None if none settles or the motion exceeds a limit of the plant; number of Jacobians.
         """
         if not self._budget:
             return None, 0
@@ -111,9 +115,19 @@ class PlannedLQR(TrackingLQR):
             self, lambda count: self._models("plans", count), self._band, self._rate_limit, (start, goal),
             self._budget, self.scales.slew / NAMED_SLEW,
         )  # fmt: skip
-        if self._regression is None:
-            return shooting.search(), shooting.jacobians
-        return shooting.first(self._regression.predict(start, goal)), shooting.jacobians
+        found = shooting.search() if self._regression is None else shooting.first(self._regression.predict(start, goal))
+        return (found if found and self._keeps_limits(start, found) else None), shooting.jacobians
+
+    def _keeps_limits(self, start: Array, slew: SlewTorques) -> bool:
+        """Return True if the motion of a slew from rest at motor angles (n,) rad exceeds no limit of the plant."""
+        if self._motion_limits is None:
+            return True
+        torques = interpolate_torques(slew.knots, slew.periods)
+        drives = np.hstack([np.clip(torques / self.limits, -1.0, 1.0) * self.limits, np.zeros((len(torques), 6))])
+        batch = self._models("plan", 1)
+        batch.reset(np.zeros(1, dtype=np.int64), rest_state(self.model, start)[None])
+        shares = self._motion_limits.shares(*batch.roll(drives[None]), self.model.constants.joint_stiffness[None])
+        return bool(np.abs(shares).max() <= 1.0)
 
     def motion(self, start: Array, goal: Array) -> tuple[tuple[Array, Array] | None, int]:
         """Return simulated states (T + 1, 2 d) and torques (T, n), N m, of the slew of `find`, and its Jacobians."""
