@@ -50,7 +50,6 @@ class Plant(NamedTuple):
         foundation: settings of a foundation that the agent commands; None for a fixed one.
         link_encoders: True for an environment whose instruments are encoders of the link side: output feedback reads
             them alone unless its sensors are named.
-        limits: function that returns the limits of the motion, see `envs.limits.Limits.predicted`; None for no limits.
     """
 
     model: Model
@@ -67,7 +66,6 @@ class Plant(NamedTuple):
     named_period: float | None = None
     foundation: Any = None
     link_encoders: bool = False
-    limits: Callable[[], Any] | None = None
 
     @property
     def torque_scales(self) -> Array:

@@ -49,7 +49,6 @@ def make_plant(configuration: Configuration, model: Model) -> Plant:
         named.control_period if configuration.has_named_motors else None,
         configuration.foundation if getattr(configuration.foundation, "names", ()) else None,
         any("joint_angles" in measured_names([sensor]) for sensor in configuration.sensors),
-        lambda: configuration.limits.predicted(model),
     )
 
 

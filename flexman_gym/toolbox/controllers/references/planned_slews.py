@@ -11,7 +11,9 @@ from flexman_gym.agent.base_controllers import ControllerEntry
 from flexman_gym.agent.controller import EpisodeInfo, Plant
 from flexman_gym.common.arrays import Array, IntArray, pad_rows
 from flexman_gym.common.checks import non_negative, text
+from flexman_gym.envs.limits import Limits
 from flexman_gym.metrics.signals import BAND
+from flexman_gym.model.linearization import LinearMeasurements
 from flexman_gym.model.model import Model
 from flexman_gym.model.statics import holding_torques, rest_state
 from flexman_gym.toolbox.controllers.arm_scales import NAMED_SLEW, ArmScales
@@ -67,7 +69,6 @@ class PlannedLQR(TrackingLQR):
         self._regression, self.thinking = regression, thinking
         self._budget = round(self.thinking / JACOBIAN_TIME)
         self._models, self._rate_limit = InternalModels(plant), plant.rate_limit
-        self._motion_limits = plant.limits() if plant.limits else None
         self._band = BAND * float(plant.model.constants.length.sum())
         self.status, self.arrivals, self.jacobians = np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0, np.int64)
 
@@ -107,7 +108,7 @@ class PlannedLQR(TrackingLQR):
         Without a table of the arm the search of `SingleShooting` begins with a planned slew.
 
         Returns:
-            Slew, None if none settles or the motion exceeds a limit of the plant; number of Jacobians.
+            Slew, None if none settles or links deflect beyond the limit of the model; number of Jacobians.
         """
         if not self._budget:
             return None, 0
@@ -116,18 +117,13 @@ class PlannedLQR(TrackingLQR):
             self._budget, self.scales.slew / NAMED_SLEW,
         )  # fmt: skip
         found = shooting.search() if self._regression is None else shooting.first(self._regression.predict(start, goal))
-        return (found if found and self._keeps_limits(start, found) else None), shooting.jacobians
+        return (found if found and self._is_valid(start, goal, found) else None), shooting.jacobians
 
-    def _keeps_limits(self, start: Array, slew: SlewTorques) -> bool:
-        """Return True if the motion of a slew from rest at motor angles (n,) rad exceeds no limit of the plant."""
-        if self._motion_limits is None:
-            return True
-        torques = interpolate_torques(slew.knots, slew.periods)
-        drives = np.hstack([np.clip(torques / self.limits, -1.0, 1.0) * self.limits, np.zeros((len(torques), 6))])
-        batch = self._models("plan", 1)
-        batch.reset(np.zeros(1, dtype=np.int64), rest_state(self.model, start)[None])
-        shares = self._motion_limits.shares(*batch.roll(drives[None]), self.model.constants.joint_stiffness[None])
-        return bool(np.abs(shares).max() <= 1.0)
+    def _is_valid(self, start: Array, goal: Array, slew: SlewTorques) -> bool:
+        """Return True if links deflect by less than the limit of small deflections, see `envs.limits.Limits`."""
+        states = self._states(start, goal, interpolate_torques(slew.knots, slew.periods))
+        deflections = LinearMeasurements(self.model).measure(states)["link_deflections"]
+        return bool((np.abs(deflections) <= Limits.deflection * np.repeat(self.model.constants.length, 2)).all())
 
     def motion(self, start: Array, goal: Array) -> tuple[tuple[Array, Array] | None, int]:
         """Return simulated states (T + 1, 2 d) and torques (T, n), N m, of the slew of `find`, and its Jacobians."""
