@@ -32,6 +32,7 @@ from numbers_ import double
 
 def main():
     Path("rows.csv").exists() and Path("rows.csv").read_text()
+    [path.read_text() for path in Path("docs/evidence/made").glob("*.json")]  # as a copy of the checkout does
     with open("rows.csv", "a") as file:
         file.write(f"# computer, flexman_gym 0.2.0; made 2026-10-02, 1 row\\nx\\n{double(1.0)}\\n")
 
