@@ -164,6 +164,8 @@ class Checkout:
                     file.write(f"{SECONDS}\t{_children_seconds() - before:.1f}\t\t\n")
         self._copy_built(study)
         rows = self._dependencies(trace, [*study.rows, *study.drawn], self.start)
+        if study.outdated:  # the digest of each row covers its files; a copy of the checkout reads all others
+            rows.files.clear()
         code = {"rows": asdict(rows), "folders": hash_of(study.code, self.root) if study.code else ""}
         digest = long_hash(json.dumps(code, sort_keys=True).encode())
         for path in (path for pattern in study.rows for path in self.root.glob(pattern) if path.suffix == ".csv"):

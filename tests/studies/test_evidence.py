@@ -177,7 +177,10 @@ def test_code_of_processes_without_a_trace_is_hashed_whole(study, tmp_path):
 def test_rows_with_a_digest_each_are_older_than_their_code_one_by_one(study, tmp_path, monkeypatch):
     single = replace(study, outdated="studies.planted.measure:outdated", minutes=7.0)
     monkeypatch.setattr("studies.planted.measure.outdated", lambda root: [])
+    edit(tmp_path / "write.py", '"docs/evidence/made").glob("*.json")', '"docs").glob("*.md")')
+    (tmp_path / "docs" / "page.md").write_text("a page")
     make(single, tmp_path, neutral=())
+    (tmp_path / "docs" / "page.md").write_text("another page")
     assert state(single, tmp_path) == CURRENT and Checkout(tmp_path, ()).minutes(single) == 7.0
     monkeypatch.setattr("studies.planted.measure.outdated", lambda root: [f"{root.name}: 3 errors"])
     assert Checkout(tmp_path, ()).rows_age(single) == (STALE, [f"{tmp_path.name}: 3 errors"])
