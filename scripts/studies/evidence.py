@@ -203,9 +203,9 @@ class Checkout:
         return {line.split("\t")[1] for line in trace.read_text(encoding="utf-8").splitlines() if line[:5] == "read\t"}
 
     def _dependencies(self, trace: Path, own: Sequence[str], start: float) -> Dependencies:
-        """Return the dependencies of a run that started at a time (s), without its own files and the records."""
+        """Return the dependencies of a run that started at a time (s), without the files that it wrote itself."""
         found = read_record(trace, self.sources, self.neutral, start)
-        for path in (path for pattern in (*own, f"{RECORDS}/*.json") for path in self.root.glob(pattern)):
+        for path in (path for pattern in own for path in self.root.glob(pattern)):
             found.files.pop(path.relative_to(self.root).as_posix(), None)
         return found
 

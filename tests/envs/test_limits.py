@@ -348,7 +348,7 @@ def test_the_rotary_joint_has_the_limits_of_its_benchmark():
     motor = environment.arm.joints[0].motor
     standstill = motor.gear_ratio * motor.torque_constant * 10.0 / 2.6
     assert environment.torque_limit == pytest.approx((standstill,)) and environment.arm.gravity == (0.0, 0.0, 0.0)
-    lqr = {"kind": "lqr", "design": "named"}  # weights of the reach exceed the limits more often
+    lqr = {"kind": "lqr", "design": "named"}  # with weights of the reach: torques cost less
     found = evaluate(lqr, environment, range(10))
     assert found["settled"] == 1.0 and found["violations"] > 500.0 and found["failed"] == 0.0
     safe = evaluate(lqr, environment, range(10), safety=True)

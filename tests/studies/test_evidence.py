@@ -32,7 +32,6 @@ from numbers_ import double
 
 def main():
     Path("rows.csv").exists() and Path("rows.csv").read_text()
-    [path.read_text() for path in Path("docs/evidence/made").glob("*.json")]  # as a copy of the checkout does
     with open("rows.csv", "a") as file:
         file.write(f"# computer, flexman_gym 0.2.0; made 2026-10-02, 1 row\\nx\\n{double(1.0)}\\n")
 
@@ -177,10 +176,12 @@ def test_code_of_processes_without_a_trace_is_hashed_whole(study, tmp_path):
 def test_rows_with_a_digest_each_are_older_than_their_code_one_by_one(study, tmp_path, monkeypatch):
     single = replace(study, outdated="studies.planted.measure:outdated", minutes=7.0)
     monkeypatch.setattr("studies.planted.measure.outdated", lambda root: [])
-    edit(tmp_path / "write.py", '"docs/evidence/made").glob("*.json")', '"docs").glob("*.md")')
-    (tmp_path / "docs" / "page.md").write_text("a page")
-    make(single, tmp_path, neutral=())
-    (tmp_path / "docs" / "page.md").write_text("another page")
+    copy = '[path.read_text() for path in Path("docs").rglob("*.*")]'
+    edit(tmp_path / "write.py", "def main():\n", f"def main():\n    {copy}\n")
+    for page in ("a page", "another page"):
+        (tmp_path / "docs" / "page.md").write_text(page)
+        make(single, tmp_path, neutral=())
+        assert rows(tmp_path) == 1, "pages and records of makings are no inputs of rows with digests"
     assert state(single, tmp_path) == CURRENT and Checkout(tmp_path, ()).minutes(single) == 7.0
     monkeypatch.setattr("studies.planted.measure.outdated", lambda root: [f"{root.name}: 3 errors"])
     assert Checkout(tmp_path, ()).rows_age(single) == (STALE, [f"{tmp_path.name}: 3 errors"])
