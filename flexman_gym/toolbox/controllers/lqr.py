@@ -15,7 +15,7 @@ from flexman_gym.common.errors import value_error
 from flexman_gym.model.model import Model, check_model
 from flexman_gym.model.statics import holding_torques, rest_state
 from flexman_gym.toolbox.controllers.arm_scales import ArmScales
-from flexman_gym.toolbox.controllers.cost_weights import CostWeights, NamedWeights, parse_weights, posture_gain
+from flexman_gym.toolbox.controllers.cost_weights import CostWeights, parse_weights, posture_gain
 from flexman_gym.toolbox.controllers.friction_compensation import FrictionCompensation
 from flexman_gym.toolbox.controllers.references.trajectories import TIME_OPTIMAL, TIMING_NAMES, plan_path, plan_slew
 
@@ -53,7 +53,7 @@ class LQR:
         model: model of the arm, with the same generalised coordinates as the controlled arm.
         torque_limit: torque limit of all joints, or of each joint (n,), N m.
         period: control period, s.
-        weights: cost weights; None for those of the reach, see `NamedWeights`.
+        weights: cost weights; None for `CostWeights.expensive`.
         scales: scales of the arm; None for those of the model and the torque limits.
 
     Examples:
@@ -92,8 +92,7 @@ class LQR:
         self._compensation = FrictionCompensation(Plant(model, tuple(self.limits.tolist()), period, dict))
 
     def _default_weights(self) -> CostWeights:
-        """Return weights that damp the start of a motion without a planned slew."""
-        return NamedWeights.of_reach(self.model)
+        return CostWeights.expensive(self.model, self.scales)
 
     def gain(self, posture: Array, weights: CostWeights | None = None) -> Array:
         """Return the gain K (n, 2 d) at motor angles (n,) rad; weights None for the weights of the regulator."""
@@ -263,24 +262,24 @@ class TrackingLQR(LQR):
         return gain, schedule.states[row], schedule.torques[row]
 
 
-def _maker(regulator: type[LQR], usual: Callable[[Model, ArmScales], CostWeights]) -> Callable[..., LQR]:
+def _maker(regulator: type[LQR]) -> Callable[..., LQR]:
     def make(plant: Plant, weights: object = None, design: object = None, **options: Any) -> LQR:
         scales = ArmScales.of_plant(plant, design)
-        chosen = parse_weights(weights, scales) or usual(plant.model, scales)
+        chosen = parse_weights(weights, scales)
         return regulator(plant.model, plant.torque_scales, plant.period, chosen, scales=scales, **options)
 
     return make
 
 
 LQR_ENTRY = ControllerEntry(
-    _maker(LQR, CostWeights.expensive),
+    _maker(LQR),
     ("model", "true state"),
     ("weights", "design"),
     "a linear-quadratic regulator about the goal",
     passive="some",
 )
 TRACKING_ENTRY = ControllerEntry(
-    _maker(TrackingLQR, CostWeights.default),
+    _maker(TrackingLQR),
     ("model", "true state"),
     ("weights", "design", "timing"),
     "a linear-quadratic regulator that tracks a smooth slew, or a path",

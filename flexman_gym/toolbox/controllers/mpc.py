@@ -29,10 +29,11 @@ from flexman_gym.toolbox.controllers.references.trajectories import plan_slew
 # with a reach of 8.5 m; a quarter and half of the values of the LQR.
 TIP_SCALE, TIP_SPEED_SCALE = 0.05 / 8.5, 0.5 / 8.5
 REFERENCE_TORQUE = 1.3  # fraction of the torque limits for which the reference slew is planned
-MAX_CHANGE = 0.05  # fraction of the torque limits; largest change of planned torques, within the linear range
+MAX_CHANGE = 0.05  # fraction of the torques of unit cost; largest change of planned torques, within the linear range
 LINEARISATION_TIME = 20  # time units; the prediction is linearised at the state after this time
 LINEARISATION_POSTURES = 5  # number of postures along a slew about which the prediction is linearised
 MIN_SQUARED_LENGTH = 1e-12  # rad^2; avoids division by zero for a slew of zero length
+STEP_FACTORS = (1.0, 0.3, 0.1)  # of the changes of a plan; the first that decreases the predicted cost is applied
 SLEWS = ("minimum-jerk", "planned")  # references
 MOVE_BLOCKS = (1, 2, 3, 4, 5, 5, 5, 6, 7, 7, 8, 10)  # time units over which each torque change is constant
 
@@ -40,9 +41,9 @@ MOVE_BLOCKS = (1, 2, 3, 4, 5, 5, 5, 6, 7, 7, 8, 10)  # time units over which eac
 class _Horizon(NamedTuple):
     """Linear prediction over N control periods, with respect to m = blocks x n changes of planned torques.
 
-    Torque changes are fractions of the limits. The outputs in the cost are tip, tip velocity and motor angles, divided
-    by their scales (deviations of unit cost, see `CostWeights`), after each period but the last; the state after the
-    last period has the terminal cost of the infinite-horizon LQR.
+    Torque changes are fractions of the torques of unit cost. The outputs in the cost are tip, tip velocity, motor
+    angles, and motor rates that have a cost, divided by their scales (deviations of unit cost, see `CostWeights`),
+    after each period but the last; the state after the last period has the terminal cost of the infinite-horizon LQR.
 
     Attributes:
         jacobian: (m, (N - 1) (6 + n) + 2 d) transposed Jacobian of the outputs with respect to the changes.
@@ -63,7 +64,7 @@ def _design_horizon(
 
     linear = linearize(model, state=rest_state(model, posture), torque=holding_torques(model, posture))
     transition, inputs = discretize(linear.A, linear.B, period)
-    inputs, d, n = inputs * limits, model.n_dof, len(limits)
+    inputs, d, n = inputs * weights.torque * limits, model.n_dof, len(limits)
     outputs = weights.outputs(linear, model.motor_columns)
     squares, axes = np.linalg.eigh(solve_discrete_are(transition, inputs, outputs.T @ outputs, np.eye(n)))
     terminal = np.sqrt(np.maximum(squares, 0.0))[:, None] * axes.T
@@ -96,14 +97,34 @@ class _Plan(NamedTuple):
     torques: Array
 
 
+class _Prediction(NamedTuple):
+    """Motion of an arm predicted for planned torques over N periods.
+
+    Attributes:
+        horizon: linear prediction at the position along the path of the reference.
+        outputs: ((N - 1) (6 + n) + 2 d,) deviations from the reference in the cost.
+        torques: (N, n) deviations of the torques, in torques of unit cost.
+    """
+
+    horizon: _Horizon
+    outputs: Array
+    torques: Array
+
+    @property
+    def cost(self) -> float:
+        """Cost of the predicted motion."""
+        return float(self.outputs @ self.outputs + np.square(self.torques).sum())
+
+
 class MPC:
     """Model predictive control of a slew: in every period, torques are planned for N periods and the first is applied.
 
     The simulator predicts the motion of the nonlinear arm under the previous plan. A quadratic program then computes
     changes of the torques, constant over blocks of periods (move blocking), that bring the prediction closest to a
     minimum-jerk slew planned for 1.3 times the torque limits, or to an optimised slew. The effect of the changes is
-    linearised, with Jacobians interpolated along the path. For a linear arm within its limits, the result equals the
-    finite-horizon LQR. The predictions are those of the arm without friction; friction is compensated, see
+    linearised, with Jacobians interpolated along the path. A second prediction shortens changes that do not decrease
+    the cost, such as those about a posture with a far smaller inertia. For a linear arm within its limits, the result
+    equals the finite-horizon LQR. The predictions are those of the arm without friction; friction is compensated, see
     `FrictionCompensation`.
 
     Args:
@@ -137,8 +158,9 @@ class MPC:
         reach = float(check_model(model).constants.length.sum())
         self.model, self.period, self._integration = model, period, integration
         self.limits = np.array(torque_limits("torque_limit", torque_limit, model.n_joints))
-        self._weights = CostWeights(TIP_SCALE * reach, TIP_SPEED_SCALE * reach, MOTOR_WEIGHT)
         scales = scales or ArmScales.of(model, self.limits)
+        rates, torque = CostWeights.default(model, scales)[3:]
+        self._weights = CostWeights(TIP_SCALE * reach, TIP_SPEED_SCALE * reach, MOTOR_WEIGHT, rates, torque)
         self._bounds = scales.bounds(self.limits, REFERENCE_TORQUE)
         self._unit = scales.unit(period)
         self._blocks = tuple(self._unit * block for block in MOVE_BLOCKS)  # control periods
@@ -197,43 +219,63 @@ class MPC:
     def act(self, readings: Readings, applied: Array, active: BoolArray) -> Array:
         """Return the actions (b, n) for the states; 0 for inactive arms."""
         states = np.asarray(readings["state"], dtype=np.float64)
-        if self._batch is None or len(self._batch.rows) != len(states):
-            self._batch = self._make_batch(len(states))
-        self._batch.reset(np.arange(len(states)), np.where(active[:, None], states, 0.0))
-        drives = np.zeros((*self._planned.shape[:2], self.model.n_joints + 6))  # torques, tip force, base acceleration
-        drives[..., : len(self.limits)] = self._planned * self.limits
-        predicted = self._batch.roll(drives)
-        actions = np.zeros((len(states), len(self.limits)))
-        arms = np.flatnonzero(active)
+        arms, actions = np.flatnonzero(active), np.zeros((len(states), len(self.limits)))
+        self._improve(np.where(active[:, None], states, 0.0), arms)
+        actions[arms] = self._planned[arms, 0]
         for arm in arms.tolist():
-            actions[arm] = self._step(arm, predicted[0][arm], predicted[1][arm])
+            last = self._plans[arm].torques[self._rows(arm)[-1]]
+            self._planned[arm] = np.vstack([self._planned[arm, 1:], np.clip(last, -1.0, 1.0)])
+        self._now[arms] += 1
         friction = self._compensation(actions[arms] * self.limits, states[arms], arms, len(states))
         actions[arms] = np.clip(actions[arms] + friction / self.limits, -1.0, 1.0)
         return actions
 
-    def _step(self, arm: int, states: Array, outputs: Array) -> Array:
-        """Return the action (n,) of an arm, from -1 to 1.
+    def _improve(self, states: Array, arms: IntArray) -> None:
+        """Change the plans of arms (r,) with states (b, 2 d) where this decreases the predicted cost."""
+        before, changes = self._predict(states, self._planned, arms), np.zeros_like(self._planned)
+        for arm, prediction in before.items():
+            changes[arm] = self._changes(self._planned[arm], prediction)
+        left = np.array([*before])
+        for factor in STEP_FACTORS:
+            tried = np.clip(self._planned + factor * changes, -1.0, 1.0)
+            after = self._predict(states, tried, left)
+            better = [arm for arm in after if after[arm].cost < before[arm].cost]
+            self._planned[better] = tried[better]
+            left = np.setdiff1d(left, better)
+            if not len(left):
+                break
 
-        Args:
-            arm: index of the arm.
-            states: (N, 2 d) states predicted for the planned torques.
-            outputs: (N, OUTPUTS) outputs predicted for the planned torques.
-        """
-        plan, now, n = self._plans[arm], int(self._now[arm]), len(self.limits)
-        rows = np.minimum(now + np.arange(sum(self._blocks) + 1), len(plan.states) - 1)
-        planned, firsts = self._planned[arm], np.cumsum((0, *self._blocks[:-1]))
-        if np.isfinite(states).all():  # the prediction did not diverge
-            horizon = self._interpolate(plan, states[self._unit * LINEARISATION_TIME])
-            residuals = self._residuals(horizon, states - plan.states[rows[1:]], outputs - plan.outputs[rows[1:]])
-            torque_residuals = np.add.reduceat(planned - plan.torques[rows[:-1]], firsts).ravel()
-            mean = (np.add.reduceat(planned, firsts) / np.array(self._blocks)[:, None]).ravel()
-            gradient = row_dots(horizon.jacobian, residuals) + torque_residuals
-            low, high = np.maximum(-1.0 - mean, -MAX_CHANGE), np.minimum(1.0 - mean, MAX_CHANGE)
-            changes = _solve_quadratic_program(horizon.curvature, gradient, low, high)
-            planned = np.clip(planned + np.repeat(changes.reshape(-1, n), self._blocks, axis=0), -1.0, 1.0)
-        self._planned[arm] = np.vstack([planned[1:], np.clip(plan.torques[rows[-1]], -1.0, 1.0)])
-        self._now[arm] += 1
-        return planned[0]
+    def _predict(self, states: Array, planned: Array, arms: IntArray) -> dict[int, _Prediction]:
+        """Return arm -> prediction from states (b, 2 d) under planned torques (b, N, n), if it does not diverge."""
+        if self._batch is None or len(self._batch.rows) != len(states):
+            self._batch = self._make_batch(len(states))
+        self._batch.reset(np.arange(len(states)), states)
+        drives = np.zeros((*planned.shape[:2], self.model.n_joints + 6))  # torques, tip force, base acceleration
+        drives[..., : len(self.limits)] = planned * self.limits
+        motions, outputs = self._batch.roll(drives)
+        result = {}
+        for arm in arms[np.isfinite(motions[arms]).all(axis=(1, 2))].tolist():
+            plan, rows = self._plans[arm], self._rows(arm)
+            horizon = self._interpolate(plan, motions[arm, self._unit * LINEARISATION_TIME])
+            deviations = motions[arm] - plan.states[rows[1:]], outputs[arm] - plan.outputs[rows[1:]]
+            torques = (planned[arm] - plan.torques[rows[:-1]]) / self._weights.torque
+            result[arm] = _Prediction(horizon, self._residuals(horizon, *deviations), torques)
+        return result
+
+    def _rows(self, arm: int) -> IntArray:
+        """Return the rows (N + 1,) of the reference of an arm from now on."""
+        rows: IntArray = np.minimum(self._now[arm] + np.arange(sum(self._blocks) + 1), len(self._plans[arm].states) - 1)
+        return rows
+
+    def _changes(self, planned: Array, prediction: _Prediction) -> Array:
+        """Return the changes (N, n) of planned torques (N, n), fractions of the limits, with the least linear cost."""
+        firsts, unit = np.cumsum((0, *self._blocks[:-1])), self._weights.torque
+        mean = (np.add.reduceat(planned, firsts) / np.array(self._blocks)[:, None]).ravel()
+        gradient = row_dots(prediction.horizon.jacobian, prediction.outputs)
+        gradient += np.add.reduceat(prediction.torques, firsts).ravel()
+        low, high = np.maximum((-1.0 - mean) / unit, -MAX_CHANGE), np.minimum((1.0 - mean) / unit, MAX_CHANGE)
+        changes = unit * _solve_quadratic_program(prediction.horizon.curvature, gradient, low, high)
+        return np.repeat(changes.reshape(-1, planned.shape[1]), self._blocks, axis=0)
 
     def _interpolate(self, plan: _Plan, state: Array) -> _Horizon:
         """Return the linear prediction at the position along the path of an arm with a state (2 d,)."""
@@ -247,12 +289,14 @@ class MPC:
 
     def _residuals(self, horizon: _Horizon, states: Array, outputs: Array) -> Array:
         """Return the outputs in the cost for deviations (N, 2 d) and (N, OUTPUTS) of states and outputs."""
-        weights, motors = self._weights, states[:-1, self.model.motor_columns]
-        running = (
+        weights, motors = self._weights, self.model.motor_columns
+        running = [
             outputs[:-1, TIP] / weights.tip,
             outputs[:-1, TIP_VELOCITY] / weights.tip_speed,
-            motors / weights.motor,
-        )
+            states[:-1, motors] / weights.motor,
+        ]
+        if np.isfinite(weights.motor_rate).any():
+            running.append(states[:-1, self.model.n_dof + motors] / np.array(weights.motor_rate))
         return np.concatenate([np.hstack(running).ravel(), row_dots(horizon.terminal, states[-1])])
 
 

@@ -14,6 +14,7 @@ from flexman_gym.envs.config.fidelity import resolve_fidelity
 from flexman_gym.envs.config.named_environments import NAMED_ENVIRONMENTS
 from flexman_gym.envs.sensors import SENSORS
 from flexman_gym.model.state_space import LinearModel, discretize
+from flexman_gym.toolbox.controllers.arm_scales import ArmScales
 from flexman_gym.toolbox.controllers.cost_weights import CostWeights
 from flexman_gym.toolbox.controllers.lqr import FEEDFORWARD_FRACTION, LQR, TrackingLQR
 from flexman_gym.toolbox.controllers.references.trajectories import TIMING_NAMES, TIMINGS, plan_path, plan_slew
@@ -325,11 +326,12 @@ def test_they_are_controllers_that_read_the_state():
         assert isinstance(designed(kind, "FlexOne-v0"), Controller) and set(kind.sensors) <= set(SENSORS)
 
 
-def test_weights_are_parts_of_the_reach():
+def test_weights_of_the_design_named_are_parts_of_the_reach():
     """The same weights in metres, given by hand; their Riccati equation is solved otherwise."""
     model, limits = resolve_fidelity(Configuration.from_keywords({})).model, (400.0,) * 3
     posture = np.array([0.1, 0.2, -0.3])
-    first, second = LQR(model, limits, 0.02), LQR(model, limits, 0.02, CostWeights(0.2, 1.0, 0.5))
+    first = LQR(model, limits, 0.02, scales=ArmScales.of_design_named(model))
+    second = LQR(model, limits, 0.02, CostWeights(0.2, 1.0, 0.5))
     assert first.weights == second.weights
     gain = first.gain(posture)
     assert np.abs(second.gain(posture) - gain).max() <= 1e-9 * np.abs(gain).max()

@@ -147,6 +147,14 @@ def test_planned_torques_change_by_little_in_a_period():
     assert actions == pytest.approx(np.array([[mpc.MAX_CHANGE], [-mpc.MAX_CHANGE]]))
 
 
+@pytest.mark.slow
+def test_a_slew_to_a_posture_with_a_far_smaller_inertia_settles():
+    """Near the vertical, the inertia about the vertical axis is 51 kg m^2; at the start it is 431 kg m^2."""
+    environment = Configuration("FlexRRR-v0", {"horizon": 5.0})
+    result = rollout("mpc", environment, [43000]).records
+    assert settling_time(result[0].errors, result[0].band, result[0].period) < 4.0
+
+
 def test_between_two_postures_slopes_are_between_theirs():
     model, limits, posture = posed("FlexOne-v0")
     controller = mpc.MPC(model, limits, PERIOD)
@@ -168,29 +176,46 @@ def test_changes_stay_within_their_bounds_and_cost_the_least():
 
 
 def test_where_it_saturates_its_plan_costs_the_least_of_all_within_the_limits(monkeypatch):
-    """By another solver: torques from -1 to 1, changes up to TRUST; some end at either, some at neither."""
+    """By another solver: torques from -1 to 1, changes up to MAX_CHANGE; some end at either, some at neither.
+
+    Changes of the program are fractions of the torques of unit cost, which are smaller than the limits.
+    """
     model, limits, posture = posed()
     controller, n, programs = mpc.MPC(model, limits, PERIOD), 2, []
     controller.reset(ONLY, EpisodeInfo(posture[None], posture[None], PERIOD), 1)
     blocks, random = len(mpc.MOVE_BLOCKS), np.random.default_rng(0)
     means = np.where(np.arange(blocks * n) % 3 == 0, 0.0, 0.98 * random.choice([-1.0, 1.0], blocks * n))
-    planned = np.repeat(means.reshape(blocks, n), mpc.MOVE_BLOCKS, axis=0)
-    controller._planned[0], least = planned, daqp.solve
+    planned, least = np.repeat(means.reshape(blocks, n), mpc.MOVE_BLOCKS, axis=0), daqp.solve
     monkeypatch.setattr(daqp, "solve", lambda *given: programs.append(given[:2]) or least(*given))
     state = model.at_rest(posture[None] + np.array([[0.015, -0.015]]))
-    action = controller.act({"state": state}, np.zeros((1, n)), np.array([True]))[0]
-    (curvature, slope), low, high = (
-        programs[0],
-        np.fmax(-1.0 - means, -mpc.MAX_CHANGE),
-        np.fmin(1.0 - means, mpc.MAX_CHANGE),
-    )
+    changes = controller._changes(planned, controller._predict(state, planned[None], ONLY)[0])
+    [(curvature, slope)] = programs
+    unit = controller._weights.torque
+    low, high = np.fmax((-1.0 - means) / unit, -mpc.MAX_CHANGE), np.fmin((1.0 - means) / unit, mpc.MAX_CHANGE)
     root = np.linalg.cholesky(curvature)
     best = lsq_linear(root.T, -np.linalg.solve(root, slope), (low, high), method="bvls", tol=1e-14).x
-    expected = planned + np.repeat(best.reshape(blocks, n), mpc.MOVE_BLOCKS, axis=0)
-    assert action == pytest.approx(expected[0], abs=1e-6)
-    assert controller._planned[0, :-1] == pytest.approx(expected[1:], abs=1e-6)
-    ends = np.abs(means + best) > 1.0 - 1e-9, np.abs(best) > mpc.MAX_CHANGE - 1e-9
-    assert ends[0].any() and ends[1].any() and not (ends[0] | ends[1]).all()
+    assert changes == pytest.approx(unit * np.repeat(best.reshape(blocks, n), mpc.MOVE_BLOCKS, axis=0), abs=1e-6)
+    ends = np.abs(means + unit * best) > 1.0 - 1e-9, np.abs(best) > mpc.MAX_CHANGE - 1e-9
+    assert unit < 1.0 and ends[0].any() and ends[1].any() and not (ends[0] | ends[1]).all()
+
+
+def test_changes_are_shortened_until_the_predicted_cost_decreases():
+    """Of plans that differ more and more from the reference: whole, shortened, and no changes."""
+    model, limits, posture = posed()
+    controller, random, applied = mpc.MPC(model, limits, PERIOD), np.random.default_rng(0), []
+    controller.reset(ONLY, EpisodeInfo(posture[None], posture[None], PERIOD), 1)
+    state, rest, blocks = fm.rest_state(model, posture)[None], controller._planned.copy(), len(mpc.MOVE_BLOCKS)
+    for amplitude in np.linspace(0.02, 0.6, 30):
+        noise = amplitude * np.repeat(random.uniform(-1.0, 1.0, (blocks, 2)), mpc.MOVE_BLOCKS, axis=0)
+        planned = np.clip(rest + noise, -0.95, 0.95)
+        before = controller._predict(state, planned, ONLY)[0]
+        changes = controller._changes(planned[0], before)
+        controller._planned = planned.copy()
+        controller._improve(state, ONLY)
+        after = controller._predict(state, controller._planned, ONLY)[0]
+        applied.append(np.abs(controller._planned - planned).sum() / np.abs(changes).sum())
+        assert after.cost < before.cost or applied[-1] == 0.0
+    assert {0.0, 1.0} < set(np.round(applied, 6).tolist())
 
 
 def test_changes_act_as_about_where_the_arm_will_be(monkeypatch):

@@ -11,11 +11,14 @@ from flexman_gym.__main__ import main
 from flexman_gym.agent.controller import EpisodeInfo
 from flexman_gym.envs.config.configuration import Configuration
 from flexman_gym.envs.config.fidelity import resolve_fidelity
+from flexman_gym.envs.limits import Limits
 from flexman_gym.evaluation.metrics import evaluate
 from flexman_gym.evaluation.rollouts import rollout
 from flexman_gym.metrics import settling_time
 from flexman_gym.model.dynamics import mass_matrix
+from flexman_gym.model.linearization import LinearMeasurements
 from flexman_gym.simulation.batch import Batch
+from flexman_gym.toolbox.controllers.arm_scales import ArmScales
 from flexman_gym.toolbox.controllers.lqr import LQR
 from flexman_gym.toolbox.controllers.references import single_shooting
 from flexman_gym.toolbox.controllers.references.optimised_slews import (
@@ -29,6 +32,8 @@ from flexman_gym.toolbox.controllers.references.single_shooting import (
     SETTLING_TIME,
     TAIL_TIME,
     SingleShooting,
+    interpolate_torques,
+    simulate_torques,
 )
 from flexman_gym.toolbox.controllers.tuning import empty_slew_table, optimise_slews
 
@@ -40,7 +45,7 @@ PERIOD = 0.02
 def shooting(model, limits, band, start, goal, rate=1e3, **moved):
     """A search for an arm."""
     moved = {"method": "midpoint_3", "step": PERIOD, "control_period": PERIOD} | moved
-    regulator = LQR(model, limits, moved["control_period"])
+    regulator = LQR(model, limits, moved["control_period"], scales=ArmScales.of_design_named(model))
     return SingleShooting(
         regulator, lambda arms: Batch(model, arms=arms, **moved), band, rate, (np.array(start), np.array(goal))
     )
@@ -104,6 +109,23 @@ def test_a_rigid_link_that_may_not_be_as_quick_goes_on_at_its_largest_rate():
     assert least <= slew.arrival * PERIOD <= 1.05 * least
     rates = search.errors(slew.knots[None], slew.periods)[0, :, 3]
     assert 0.95 < np.abs(rates).max() < 1.0
+
+
+@pytest.mark.slow
+def test_links_deflect_by_at_most_the_limit_of_the_model():
+    """A soft link on a strong motor: by its own simulation, a slew searched without the limit deflects it by more."""
+    link = fm.Link.strip(0.4, 0.03, 0.001, material="steel", masses=[fm.LumpedMass(0.02, 0.4)])
+    joint = fm.Joint((0.0, 0.0, 1.0), 0.01, torque_limit=10.0)
+    model = fm.build_model(fm.Arm([link], [joint], gravity=(0.0, 0.0, 0.0), modal_damping_ratio=0.005), 2)
+    largest = []
+    for factor in (1.0, 1e3):
+        search = shooting(model, 10.0, 0.008, [0.0], [2.0], step=0.002)
+        search._max_deflections = factor * search._max_deflections
+        slew = search.search()
+        torques = interpolate_torques(slew.knots, slew.periods)
+        states = simulate_torques(search._make_batch(1), fm.rest_state(model, [0.0]), torques)
+        largest.append(np.abs(LinearMeasurements(model).measure(states)["link_deflections"]).max())
+    assert largest[0] <= Limits.deflection * link.length < largest[1]
 
 
 def test_slopes_are_those_of_errors():
@@ -236,7 +258,7 @@ def test_it_replays_torques_then_regulates_and_each_arm_has_its_own(table):
     controller = player(table)
     (first, one, _), (second, other, _) = table.found[7], table.found[3]
     controller.reset(np.array([0, 1]), EpisodeInfo(*np.stack([first, second], axis=1), 0.02), 2)
-    regulator = LQR(controller.model, controller.limits, 0.02)
+    regulator = LQR(controller.model, controller.limits, 0.02, scales=controller.scales)
     regulator.reset(np.array([0, 1]), EpisodeInfo(*np.stack([first, second], axis=1), 0.02), 2)
     states = 0.01 * np.random.default_rng(0).standard_normal((2, 2 * controller.model.n_dof))
     torques = [controller.torques(states) for _ in range(28)]

@@ -11,9 +11,7 @@ from flexman_gym.agent.base_controllers import ControllerEntry
 from flexman_gym.agent.controller import EpisodeInfo, Plant
 from flexman_gym.common.arrays import Array, IntArray, pad_rows
 from flexman_gym.common.checks import non_negative, text
-from flexman_gym.envs.limits import Limits
 from flexman_gym.metrics.signals import BAND
-from flexman_gym.model.linearization import LinearMeasurements
 from flexman_gym.model.model import Model
 from flexman_gym.model.statics import holding_torques, rest_state
 from flexman_gym.toolbox.controllers.arm_scales import NAMED_SLEW, ArmScales
@@ -108,7 +106,7 @@ class PlannedLQR(TrackingLQR):
         Without a table of the arm the search of `SingleShooting` begins with a planned slew.
 
         Returns:
-            Slew, None if none settles or links deflect beyond the limit of the model; number of Jacobians.
+            Slew, None if none settles; number of Jacobians.
         """
         if not self._budget:
             return None, 0
@@ -117,13 +115,7 @@ class PlannedLQR(TrackingLQR):
             self._budget, self.scales.slew / NAMED_SLEW,
         )  # fmt: skip
         found = shooting.search() if self._regression is None else shooting.first(self._regression.predict(start, goal))
-        return (found if found and self._is_valid(start, goal, found) else None), shooting.jacobians
-
-    def _is_valid(self, start: Array, goal: Array, slew: SlewTorques) -> bool:
-        """Return True if links deflect by less than the limit of small deflections, see `envs.limits.Limits`."""
-        states = self._states(start, goal, interpolate_torques(slew.knots, slew.periods))
-        deflections = LinearMeasurements(self.model).measure(states)["link_deflections"]
-        return bool((np.abs(deflections) <= Limits.deflection * np.repeat(self.model.constants.length, 2)).all())
+        return found, shooting.jacobians
 
     def motion(self, start: Array, goal: Array) -> tuple[tuple[Array, Array] | None, int]:
         """Return simulated states (T + 1, 2 d) and torques (T, n), N m, of the slew of `find`, and its Jacobians."""

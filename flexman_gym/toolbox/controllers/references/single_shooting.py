@@ -6,7 +6,9 @@ from typing import NamedTuple
 import numpy as np
 
 from flexman_gym.common.arrays import Array, row_dots
+from flexman_gym.envs.limits import Limits
 from flexman_gym.kernels.layout import OK, TIP
+from flexman_gym.model.linearization import LinearMeasurements
 from flexman_gym.model.statics import holding_torques, rest_state, rest_tips
 from flexman_gym.simulation.batch import Batch
 from flexman_gym.toolbox.controllers.arm_scales import SlewBounds
@@ -40,9 +42,9 @@ INITIAL_DAMPING = 1e-2  # 1
 MAX_COST_RATIO = 0.9  # dimensionless; largest ratio of the costs after and before a successful step
 BROYDEN_UPDATES = 5  # number of successful steps with one Jacobian
 TORQUE_STEP = 0.005  # fraction of the torque limits; perturbation for the Jacobian
-RATE_BOUND = 0.97  # fraction of the largest motor rate above which rates are penalised
-MAX_RATE = 0.99  # fraction of the largest motor rate that a solution may reach
-RATE_WEIGHT = 50.0  # bands; penalty of a rate that exceeds RATE_BOUND by the largest rate
+SHARE_BOUND = 0.97  # fraction of their limits above which motor rates and deflections are penalised
+MAX_SHARE = 0.99  # fraction of their limits that motor rates and deflections of a solution may reach
+SHARE_WEIGHT = 50.0  # bands; penalty of a motor rate or deflection that exceeds SHARE_BOUND by its limit
 FAILURE_ERROR = 1e3  # bands; error of an arm whose simulation failed
 COST_DIFFERENCE_STEP = 1e-4  # fraction of the torque limits; perturbation for the Jacobian of the residuals
 MIN_DISTANCE = 1e-12  # m; avoids division by zero
@@ -97,14 +99,15 @@ class SingleShooting:
     """Time-optimal slew of one arm from an equilibrium or a motion to an equilibrium, by single shooting.
 
     Torques with one perturbed knot each are simulated together in a Batch. Damped Gauss-Newton steps within the torque
-    limits bring the tip into the band from an arrival time on, with Broyden's updates of the Jacobian. The arrival time
-    is reduced, starting from the last solution, until no solution is found.
+    limits bring the tip into the band from an arrival time on, with Broyden's updates of the Jacobian, and keep motor
+    rates and deflections of links within their limits. The arrival time is reduced, starting from the last solution,
+    until no solution is found.
 
     Args:
         regulator: LQR about the goal, with the model, torque limits and control period of the arm.
         make_batch: function that returns a Batch with a given number of these arms.
         band: distance from the target within which the tip counts as settled, m.
-        max_rate: largest motor rate, rad/s.
+        max_rate: largest motor rate, rad/s; the largest deflection of a link is that of `envs.limits.Limits`.
         ends: (n,) initial motor angles at rest, rad, or (2 d,) initial state; (n,) final motor angles, rad.
         budget: largest number of Jacobians of all durations; None for no limit.
         slowness: duration of a slew of the arm, relative to that of the arm of FlexRRR-v0, by which times are scaled.
@@ -126,6 +129,8 @@ class SingleShooting:
         self._max_rate, self.budget, self.jacobians = max_rate, budget, 0
         model, (start, goal) = regulator.model, ends
         self._driven = np.flatnonzero(model.constants.passive == 0)
+        self._measurements = LinearMeasurements(model)
+        self._max_deflections = Limits.deflection * np.repeat(model.constants.length, 2)
         moving = len(start) == 2 * model.n_dof
         posture = (1 - model.constants.passive) * start[model.motor_columns] if moving else start
         self._regulator, self._make_batch, self._band, self._ends = regulator, make_batch, band, (posture, goal)
@@ -212,31 +217,37 @@ class SingleShooting:
         return self.budget is not None and self.jacobians >= self.budget
 
     def errors(self, knots: Array, periods: int) -> Array:
-        """Return the errors (r, T + W, 3 + m) at the ends of control periods for knots (r, K, n).
+        """Return the errors (r, T + W, 3 + q) at the ends of control periods for knots (r, K, n).
 
         W control periods under the LQR follow the T periods of the slew. An error consists of the position error (3,)
-        of the tip, m, and the rates (m,) of the motors as fractions of the largest rate.
+        of the tip, m, and q fractions of limits, see `_shares`.
         """
-        limits, model, batch = self._regulator.limits, self._regulator.model, self._batch(len(knots))
-        n, rates = len(limits), model.n_dof + model.motor_columns[self._driven]
-        result = np.empty((len(knots), periods + self._settling, 3 + len(rates)))
+        limits, batch = self._regulator.limits, self._batch(len(knots))
+        n, settling = len(limits), self._settling
         drives = np.zeros((len(knots), periods, n + 6))  # motor torques, tip force, base acceleration
         drives[..., :n] = np.clip(interpolate_torques(knots, periods) / limits, -1.0, 1.0) * limits
-        states, read = batch.roll(drives)
-        result[:, :periods, :3], result[:, :periods, 3:] = (
-            read[..., TIP] - self._target,
-            states[..., rates] / self._max_rate,
-        )
+        states, outputs = batch.roll(drives)
+        states, tips = (np.pad(each, ((0, 0), (0, settling), (0, 0))) for each in (states, outputs[..., TIP]))
         drive = np.zeros((len(knots), n + 6))
-        for period in range(periods, periods + self._settling):
+        for period in range(periods, periods + settling):
             torques = self._holding_torques[1] - row_dots(self._gain, (batch.state - self._rest)[:, None])
             torques = self._regulator.compensated(torques, batch.state)
             drive[:, :n] = np.clip(torques / limits, -1.0, 1.0) * limits
             batch.step(drive)
-            result[:, period, :3] = batch.outputs[:, TIP] - self._target
-            result[:, period, 3:] = batch.state[:, rates] / self._max_rate
+            states[:, period], tips[:, period] = batch.state, batch.outputs[:, TIP]
+        result: Array = np.concatenate([tips - self._target, self._shares(states)], axis=2)
         result[batch.status != OK] = FAILURE_ERROR * self._band
         return result
+
+    def _shares(self, states: Array) -> Array:
+        """Return the rates of the m motors and the deflections of the n links of states (r, T, 2 d), (r, T, m + 2 n).
+
+        They are fractions of the largest motor rate and of the largest deflection.
+        """
+        measured = self._measurements.measure(states.reshape(-1, states.shape[2]))
+        rates = measured["motor_rates"][:, self._driven] / self._max_rate
+        shares = np.hstack([rates, measured["link_deflections"] / self._max_deflections])
+        return shares.reshape(*states.shape[:2], -1)
 
     def _batch(self, count: int) -> Batch:
         if count not in self._batches:
@@ -274,7 +285,7 @@ class SingleShooting:
         errors = self.errors(knots[None], periods)[0]
         for _ in range(MAX_STEPS):
             outside = np.flatnonzero(np.linalg.norm(errors[:, :3], axis=1) > SETTLED_BAND * self._band)
-            if outside.max(initial=-1) < arrival - 1 and np.abs(errors[:, 3:]).max() <= MAX_RATE:
+            if outside.max(initial=-1) < arrival - 1 and np.abs(errors[:, 3:]).max() <= MAX_SHARE:
                 self._jacobian_known = jacobian
                 return SlewTorques(knots, periods, int(outside.max(initial=-1)) + 2)
             if jacobian is None:
@@ -301,27 +312,27 @@ class SingleShooting:
         return None
 
     def _jacobian(self, knots: Array, periods: int) -> tuple[Array, Array]:
-        """Return the errors of knots (K, n) and their Jacobian (K m, T + W, 3 + m), per fraction of the limits."""
+        """Return the errors of knots (K, n) and their Jacobian (K m, T + W, 3 + q), per fraction of the limits."""
         self.jacobians += 1
         steps = self._torques(TORQUE_STEP * np.eye(self._fractions(knots).size), knots)
         errors = self.errors(np.concatenate([knots[None], knots + steps]), periods)
         return errors[0], (errors[1:] - errors[0]) / TORQUE_STEP
 
     def _residuals(self, errors: Array, arrival: int) -> Array:
-        """Return the residuals (r, ...) of errors (r, T + W, 3 + m), in bands.
+        """Return the residuals (r, ...) of errors (r, T + W, 3 + q), in bands.
 
         The residuals are the tip errors beyond the inner band in every second period from the arrival on, and the
-        motor rates above RATE_BOUND.
+        motor rates and deflections above SHARE_BOUND.
         """
-        late_errors, rates = errors[:, arrival - 1 :: 2, :3], errors[..., 3:]
+        late_errors, shares = errors[:, arrival - 1 :: 2, :3], errors[..., 3:]
         distances = np.linalg.norm(late_errors, axis=2, keepdims=True)
         candidate_errors = (
             late_errors
             * np.maximum(0.0, 1.0 - INNER_BAND * self._band / np.maximum(distances, MIN_DISTANCE))
             / self._band
         )
-        fast = RATE_WEIGHT * (rates - np.clip(rates, -RATE_BOUND, RATE_BOUND))
-        return np.concatenate([candidate_errors.reshape(len(errors), -1), fast.reshape(len(errors), -1)], axis=1)
+        excess = SHARE_WEIGHT * (shares - np.clip(shares, -SHARE_BOUND, SHARE_BOUND))
+        return np.concatenate([candidate_errors.reshape(len(errors), -1), excess.reshape(len(errors), -1)], axis=1)
 
     def _steps(self, knots: Array, errors: Array, jacobian: Array, arrival: int, dampings: Array) -> Array:
         """Return the knots (r, K, n) after a Gauss-Newton step with each damping (r,), within the torque limits."""
