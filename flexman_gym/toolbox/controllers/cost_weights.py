@@ -98,14 +98,14 @@ class CostWeights(NamedTuple):
             transition, inputs = discretize(linear.A, linear.B, period)
             n, outputs, unit = len(limits), self.outputs(linear, motors), self.torque * limits
             scaled = inputs * unit  # torques in units of their cost, for a well-scaled equation
-            solution = self._cost_to_go((transition, scaled, outputs.T @ outputs), unit)
+            solution = self.cost_to_go((transition, scaled, outputs.T @ outputs), unit)
             gain = np.linalg.solve(np.eye(n) + scaled.T @ solution @ scaled, scaled.T @ solution @ transition)
             if not np.isfinite(gain).all():  # functions of LAPACK return NaN without an error
                 raise FloatingPointError
         return unit[:, None] * gain
 
-    def _cost_to_go(self, equation: tuple[Array, Array, Array], unit: Array) -> Array:
-        """Return the matrix of the cost of all later periods, dual to a covariance.
+    def cost_to_go(self, equation: tuple[Array, Array, Array], unit: Array) -> Array:
+        """Return the matrix (2 d, 2 d) of the cost of all later periods, dual to a covariance.
 
         Args:
             equation: transition matrix, input matrix of torques in units of their cost, and cost matrix of states.
@@ -139,7 +139,8 @@ class NamedWeights(CostWeights):
         reach = float(model.constants.length.sum())
         return cls(TIP_SCALE * reach, TIP_SPEED_SCALE * reach, MOTOR_WEIGHT)
 
-    def _cost_to_go(self, equation: tuple[Array, Array, Array], unit: Array) -> Array:
+    def cost_to_go(self, equation: tuple[Array, Array, Array], unit: Array) -> Array:
+        """Return the matrix (2 d, 2 d) of the cost of all later periods, see `CostWeights.cost_to_go`."""
         from scipy.linalg import solve_discrete_are
 
         identity = np.diag(1.0 / unit**2) * np.outer(unit, unit)  # with rounding, which stored policies were trained on
@@ -150,7 +151,7 @@ class NamedWeights(CostWeights):
                 continue
             if np.isfinite(result).all():  # SciPy 1.18 returns NaN where earlier versions raise an error
                 return result
-        return super()._cost_to_go(equation, unit)
+        return super().cost_to_go(equation, unit)
 
 
 def posture_gain(model: Model, posture: Array, weights: CostWeights, limits: Array, period: float) -> Array:

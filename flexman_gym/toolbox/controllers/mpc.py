@@ -20,7 +20,7 @@ from flexman_gym.simulation.batch import Batch
 from flexman_gym.simulation.linearization import linearize
 from flexman_gym.simulation.methods import DEFAULT_METHOD, Method
 from flexman_gym.toolbox.controllers.arm_scales import ArmScales
-from flexman_gym.toolbox.controllers.cost_weights import MOTOR_WEIGHT, CostWeights
+from flexman_gym.toolbox.controllers.cost_weights import CostWeights
 from flexman_gym.toolbox.controllers.friction_compensation import FrictionCompensation
 from flexman_gym.toolbox.controllers.references.planned_slews import JACOBIAN_TIME, PlannedLQR, make_planned
 from flexman_gym.toolbox.controllers.references.trajectories import plan_slew
@@ -29,7 +29,7 @@ from flexman_gym.toolbox.controllers.references.trajectories import plan_slew
 # with a reach of 8.5 m; a quarter and half of the values of the LQR.
 TIP_SCALE, TIP_SPEED_SCALE = 0.05 / 8.5, 0.5 / 8.5
 REFERENCE_TORQUE = 1.3  # fraction of the torque limits for which the reference slew is planned
-MAX_CHANGE = 0.05  # fraction of the torques of unit cost; largest change of planned torques, within the linear range
+MAX_CHANGE = 0.05  # fraction of the torque limits; largest change of planned torques, within the linear range
 LINEARISATION_TIME = 20  # time units; the prediction is linearised at the state after this time
 LINEARISATION_POSTURES = 5  # number of postures along a slew about which the prediction is linearised
 MIN_SQUARED_LENGTH = 1e-12  # rad^2; avoids division by zero for a slew of zero length
@@ -41,7 +41,7 @@ MOVE_BLOCKS = (1, 2, 3, 4, 5, 5, 5, 6, 7, 7, 8, 10)  # time units over which eac
 class _Horizon(NamedTuple):
     """Linear prediction over N control periods, with respect to m = blocks x n changes of planned torques.
 
-    Torque changes are fractions of the torques of unit cost. The outputs in the cost are tip, tip velocity, motor
+    Torque changes are fractions of the limits. The outputs in the cost are tip, tip velocity, motor
     angles, and motor rates that have a cost, divided by their scales (deviations of unit cost, see `CostWeights`),
     after each period but the last; the state after the last period has the terminal cost of the infinite-horizon LQR.
 
@@ -60,13 +60,11 @@ def _design_horizon(
     model: Model, posture: Array, limits: Array, weights: CostWeights, period: float, blocks: Sequence[int]
 ) -> _Horizon:
     """Return the prediction about a posture (n,) rad of the motors; the lengths of the blocks, in periods, sum to N."""
-    from scipy.linalg import solve_discrete_are
-
     linear = linearize(model, state=rest_state(model, posture), torque=holding_torques(model, posture))
     transition, inputs = discretize(linear.A, linear.B, period)
-    inputs, d, n = inputs * weights.torque * limits, model.n_dof, len(limits)
+    inputs, d, n = inputs * limits, model.n_dof, len(limits)
     outputs = weights.outputs(linear, model.motor_columns)
-    squares, axes = np.linalg.eigh(solve_discrete_are(transition, inputs, outputs.T @ outputs, np.eye(n)))
+    squares, axes = np.linalg.eigh(weights.cost_to_go((transition, inputs, outputs.T @ outputs), limits))
     terminal = np.sqrt(np.maximum(squares, 0.0))[:, None] * axes.T
     state, rows = np.zeros((2 * d, n * len(blocks))), []
     for block in np.repeat(np.arange(len(blocks)), blocks):
@@ -103,7 +101,7 @@ class _Prediction(NamedTuple):
     Attributes:
         horizon: linear prediction at the position along the path of the reference.
         outputs: ((N - 1) (6 + n) + 2 d,) deviations from the reference in the cost.
-        torques: (N, n) deviations of the torques, in torques of unit cost.
+        torques: (N, n) deviations of the torques, fractions of the limits.
     """
 
     horizon: _Horizon
@@ -117,9 +115,10 @@ class _Prediction(NamedTuple):
 
 
 class MPC:
-    """Model predictive control of a slew: in every period, torques are planned for N periods and the first is applied.
+    """Model predictive control of a slew: torques are planned for N periods, and planned anew before they end.
 
-    The simulator predicts the motion of the nonlinear arm under the previous plan. A quadratic program then computes
+    Torques are planned once in a time unit of the arm, a control period for the arms of the named environments. The
+    simulator predicts the motion of the nonlinear arm under the previous plan. A quadratic program then computes
     changes of the torques, constant over blocks of periods (move blocking), that bring the prediction closest to a
     minimum-jerk slew planned for 1.3 times the torque limits, or to an optimised slew. The effect of the changes is
     linearised, with Jacobians interpolated along the path. A second prediction shortens changes that do not decrease
@@ -159,8 +158,9 @@ class MPC:
         self.model, self.period, self._integration = model, period, integration
         self.limits = np.array(torque_limits("torque_limit", torque_limit, model.n_joints))
         scales = scales or ArmScales.of(model, self.limits)
-        rates, torque = CostWeights.default(model, scales)[3:]
-        self._weights = CostWeights(TIP_SCALE * reach, TIP_SPEED_SCALE * reach, MOTOR_WEIGHT, rates, torque)
+        self._weights = CostWeights.default(model, scales)._replace(
+            tip=TIP_SCALE * reach, tip_speed=TIP_SPEED_SCALE * reach, torque=1.0
+        )
         self._bounds = scales.bounds(self.limits, REFERENCE_TORQUE)
         self._unit = scales.unit(period)
         self._blocks = tuple(self._unit * block for block in MOVE_BLOCKS)  # control periods
@@ -220,7 +220,7 @@ class MPC:
         """Return the actions (b, n) for the states; 0 for inactive arms."""
         states = np.asarray(readings["state"], dtype=np.float64)
         arms, actions = np.flatnonzero(active), np.zeros((len(states), len(self.limits)))
-        self._improve(np.where(active[:, None], states, 0.0), arms)
+        self._improve(np.where(active[:, None], states, 0.0), arms[self._now[arms] % self._unit == 0])
         actions[arms] = self._planned[arms, 0]
         for arm in arms.tolist():
             last = self._plans[arm].torques[self._rows(arm)[-1]]
@@ -232,6 +232,8 @@ class MPC:
 
     def _improve(self, states: Array, arms: IntArray) -> None:
         """Change the plans of arms (r,) with states (b, 2 d) where this decreases the predicted cost."""
+        if not len(arms):
+            return
         before, changes = self._predict(states, self._planned, arms), np.zeros_like(self._planned)
         for arm, prediction in before.items():
             changes[arm] = self._changes(self._planned[arm], prediction)
@@ -258,7 +260,7 @@ class MPC:
             plan, rows = self._plans[arm], self._rows(arm)
             horizon = self._interpolate(plan, motions[arm, self._unit * LINEARISATION_TIME])
             deviations = motions[arm] - plan.states[rows[1:]], outputs[arm] - plan.outputs[rows[1:]]
-            torques = (planned[arm] - plan.torques[rows[:-1]]) / self._weights.torque
+            torques = planned[arm] - plan.torques[rows[:-1]]
             result[arm] = _Prediction(horizon, self._residuals(horizon, *deviations), torques)
         return result
 
@@ -269,12 +271,12 @@ class MPC:
 
     def _changes(self, planned: Array, prediction: _Prediction) -> Array:
         """Return the changes (N, n) of planned torques (N, n), fractions of the limits, with the least linear cost."""
-        firsts, unit = np.cumsum((0, *self._blocks[:-1])), self._weights.torque
+        firsts = np.cumsum((0, *self._blocks[:-1]))
         mean = (np.add.reduceat(planned, firsts) / np.array(self._blocks)[:, None]).ravel()
         gradient = row_dots(prediction.horizon.jacobian, prediction.outputs)
         gradient += np.add.reduceat(prediction.torques, firsts).ravel()
-        low, high = np.maximum((-1.0 - mean) / unit, -MAX_CHANGE), np.minimum((1.0 - mean) / unit, MAX_CHANGE)
-        changes = unit * _solve_quadratic_program(prediction.horizon.curvature, gradient, low, high)
+        low, high = np.maximum(-1.0 - mean, -MAX_CHANGE), np.minimum(1.0 - mean, MAX_CHANGE)
+        changes = _solve_quadratic_program(prediction.horizon.curvature, gradient, low, high)
         return np.repeat(changes.reshape(-1, planned.shape[1]), self._blocks, axis=0)
 
     def _interpolate(self, plan: _Plan, state: Array) -> _Horizon:

@@ -155,6 +155,22 @@ def test_a_slew_to_a_posture_with_a_far_smaller_inertia_settles():
     assert settling_time(result[0].errors, result[0].band, result[0].period) < 4.0
 
 
+def test_torques_are_planned_once_in_a_time_unit():
+    """In the periods between, the torques planned before are applied, whatever the state."""
+    model, limits, posture = posed("FlexOne-v0")
+    controller, random = mpc.MPC(model, limits, PERIOD / 20.0), np.random.default_rng(0)
+    unit = controller._unit
+    assert unit >= 2
+    controller.reset(ONLY, EpisodeInfo(posture[None], posture[None] + 0.1, PERIOD / 20.0), 1)
+    for _ in range(2):
+        planned = controller._planned[0].copy()
+        for period in range(unit):
+            state = fm.rest_state(model, posture + 0.01 * random.uniform(-1.0, 1.0, model.n_joints))[None]
+            action = controller.act({"state": state}, np.zeros((1, model.n_joints)), np.array([True]))[0]
+            planned = np.vstack([action, controller._planned[0]]) if period == 0 else planned
+            assert np.array_equal(action, planned[period])
+
+
 def test_between_two_postures_slopes_are_between_theirs():
     model, limits, posture = posed("FlexOne-v0")
     controller = mpc.MPC(model, limits, PERIOD)
@@ -176,10 +192,7 @@ def test_changes_stay_within_their_bounds_and_cost_the_least():
 
 
 def test_where_it_saturates_its_plan_costs_the_least_of_all_within_the_limits(monkeypatch):
-    """By another solver: torques from -1 to 1, changes up to MAX_CHANGE; some end at either, some at neither.
-
-    Changes of the program are fractions of the torques of unit cost, which are smaller than the limits.
-    """
+    """By another solver: torques from -1 to 1, changes up to MAX_CHANGE; some end at either, some at neither."""
     model, limits, posture = posed()
     controller, n, programs = mpc.MPC(model, limits, PERIOD), 2, []
     controller.reset(ONLY, EpisodeInfo(posture[None], posture[None], PERIOD), 1)
@@ -190,13 +203,12 @@ def test_where_it_saturates_its_plan_costs_the_least_of_all_within_the_limits(mo
     state = model.at_rest(posture[None] + np.array([[0.015, -0.015]]))
     changes = controller._changes(planned, controller._predict(state, planned[None], ONLY)[0])
     [(curvature, slope)] = programs
-    unit = controller._weights.torque
-    low, high = np.fmax((-1.0 - means) / unit, -mpc.MAX_CHANGE), np.fmin((1.0 - means) / unit, mpc.MAX_CHANGE)
+    low, high = np.fmax(-1.0 - means, -mpc.MAX_CHANGE), np.fmin(1.0 - means, mpc.MAX_CHANGE)
     root = np.linalg.cholesky(curvature)
     best = lsq_linear(root.T, -np.linalg.solve(root, slope), (low, high), method="bvls", tol=1e-14).x
-    assert changes == pytest.approx(unit * np.repeat(best.reshape(blocks, n), mpc.MOVE_BLOCKS, axis=0), abs=1e-6)
-    ends = np.abs(means + unit * best) > 1.0 - 1e-9, np.abs(best) > mpc.MAX_CHANGE - 1e-9
-    assert unit < 1.0 and ends[0].any() and ends[1].any() and not (ends[0] | ends[1]).all()
+    assert changes == pytest.approx(np.repeat(best.reshape(blocks, n), mpc.MOVE_BLOCKS, axis=0), abs=1e-6)
+    ends = np.abs(means + best) > 1.0 - 1e-9, np.abs(best) > mpc.MAX_CHANGE - 1e-9
+    assert ends[0].any() and ends[1].any() and not (ends[0] | ends[1]).all()
 
 
 def test_changes_are_shortened_until_the_predicted_cost_decreases():
