@@ -211,6 +211,22 @@ def test_where_it_saturates_its_plan_costs_the_least_of_all_within_the_limits(mo
     assert ends[0].any() and ends[1].any() and not (ends[0] | ends[1]).all()
 
 
+def test_the_predicted_cost_changes_as_that_of_the_quadratic_program(monkeypatch):
+    """By 2 g x + x H x for changes x, near the goal, where the arm is linear; H has the cost of the torques."""
+    model, limits, posture = posed("FlexRRR-v0")
+    controller, programs, least = mpc.MPC(model, limits, PERIOD), [], daqp.solve
+    controller.reset(ONLY, EpisodeInfo(posture[None], posture[None], PERIOD), 1)
+    monkeypatch.setattr(daqp, "solve", lambda *given: programs.append(given[:2]) or least(*given))
+    state, planned = fm.rest_state(model, posture + 1e-5)[None], controller._planned
+    before = controller._predict(state, planned, ONLY)[0]
+    changes = controller._changes(planned[0], before)
+    [(curvature, slope)], firsts = programs, np.cumsum((0, *mpc.MOVE_BLOCKS[:-1]))
+    steps = changes[firsts].ravel()
+    expected = 2.0 * slope @ steps + steps @ curvature @ steps
+    after = controller._predict(state, planned + changes, ONLY)[0]
+    assert after.cost - before.cost == pytest.approx(expected, rel=1e-3)
+
+
 def test_changes_are_shortened_until_the_predicted_cost_decreases():
     """Of plans that differ more and more from the reference: whole, shortened, and no changes."""
     model, limits, posture = posed()
