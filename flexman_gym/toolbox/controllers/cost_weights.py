@@ -98,14 +98,14 @@ class CostWeights(NamedTuple):
             transition, inputs = discretize(linear.A, linear.B, period)
             n, outputs, unit = len(limits), self.outputs(linear, motors), self.torque * limits
             scaled = inputs * unit  # torques in units of their cost, for a well-scaled equation
-            solution = self.cost_to_go((transition, scaled, outputs.T @ outputs), unit)
+            solution = self._cost_to_go((transition, scaled, outputs.T @ outputs), unit)
             gain = np.linalg.solve(np.eye(n) + scaled.T @ solution @ scaled, scaled.T @ solution @ transition)
             if not np.isfinite(gain).all():  # functions of LAPACK return NaN without an error
                 raise FloatingPointError
         return unit[:, None] * gain
 
-    def cost_to_go(self, equation: tuple[Array, Array, Array], unit: Array) -> Array:
-        """Return the matrix (2 d, 2 d) of the cost of all later periods, dual to a covariance.
+    def _cost_to_go(self, equation: tuple[Array, Array, Array], unit: Array) -> Array:
+        """Return the matrix of the cost of all later periods, dual to a covariance.
 
         Args:
             equation: transition matrix, input matrix of torques in units of their cost, and cost matrix of states.
@@ -113,6 +113,17 @@ class CostWeights(NamedTuple):
         """
         transition, inputs, cost = equation
         return late_covariances(transition.T, cost, inputs.T, np.ones(len(unit)))[0]
+
+    def terminal(self, transition: Array, inputs: Array, outputs: Array, limits: Array) -> Array:
+        """Return the matrix (2 d, 2 d) of the cost of all periods after a horizon, under the LQR.
+
+        Args:
+            transition: (2 d, 2 d) matrix of the state after a period.
+            inputs: (2 d, n) matrix of the torques, fractions of the limits.
+            outputs: matrix of the outputs in the cost, see `outputs`.
+            limits: (n,) torque limits, N m.
+        """
+        return self._cost_to_go((transition, inputs, outputs.T @ outputs), limits)
 
     def outputs(self, linear: LinearModel, motors: Array) -> Array:
         """Return the matrix (6 + m or 6 + 2 m, 2 d) of the outputs in the cost, divided by their weights.
@@ -139,8 +150,7 @@ class NamedWeights(CostWeights):
         reach = float(model.constants.length.sum())
         return cls(TIP_SCALE * reach, TIP_SPEED_SCALE * reach, MOTOR_WEIGHT)
 
-    def cost_to_go(self, equation: tuple[Array, Array, Array], unit: Array) -> Array:
-        """Return the matrix (2 d, 2 d) of the cost of all later periods, see `CostWeights.cost_to_go`."""
+    def _cost_to_go(self, equation: tuple[Array, Array, Array], unit: Array) -> Array:
         from scipy.linalg import solve_discrete_are
 
         identity = np.diag(1.0 / unit**2) * np.outer(unit, unit)  # with rounding, which stored policies were trained on
@@ -151,7 +161,7 @@ class NamedWeights(CostWeights):
                 continue
             if np.isfinite(result).all():  # SciPy 1.18 returns NaN where earlier versions raise an error
                 return result
-        return super().cost_to_go(equation, unit)
+        return super()._cost_to_go(equation, unit)
 
 
 def posture_gain(model: Model, posture: Array, weights: CostWeights, limits: Array, period: float) -> Array:

@@ -64,7 +64,7 @@ def _design_horizon(
     transition, inputs = discretize(linear.A, linear.B, period)
     inputs, d, n = inputs * limits, model.n_dof, len(limits)
     outputs = weights.outputs(linear, model.motor_columns)
-    squares, axes = np.linalg.eigh(weights.cost_to_go((transition, inputs, outputs.T @ outputs), limits))
+    squares, axes = np.linalg.eigh(weights.terminal(transition, inputs, outputs, limits))
     terminal = np.sqrt(np.maximum(squares, 0.0))[:, None] * axes.T
     state, rows = np.zeros((2 * d, n * len(blocks))), []
     for block in np.repeat(np.arange(len(blocks)), blocks):
