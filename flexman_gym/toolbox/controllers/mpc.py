@@ -1,6 +1,6 @@
 """Model predictive control within the torque limits, with nonlinear predictions by the simulator."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -220,7 +220,8 @@ class MPC:
         """Return the actions (b, n) for the states; 0 for inactive arms."""
         states = np.asarray(readings["state"], dtype=np.float64)
         arms, actions = np.flatnonzero(active), np.zeros((len(states), len(self.limits)))
-        self._improve(np.where(active[:, None], states, 0.0), arms[self._now[arms] % self._unit == 0])
+        due = arms[self._now[arms] % self._unit == 0].tolist()
+        self._improve(np.where(active[:, None], states, 0.0), due)
         actions[arms] = self._planned[arms, 0]
         for arm in arms.tolist():
             last = self._plans[arm].torques[self._rows(arm)[-1]]
@@ -230,25 +231,23 @@ class MPC:
         actions[arms] = np.clip(actions[arms] + friction / self.limits, -1.0, 1.0)
         return actions
 
-    def _improve(self, states: Array, arms: IntArray) -> None:
-        """Change the plans of arms (r,) with states (b, 2 d) where this decreases the predicted cost."""
-        if not len(arms):
-            return
+    def _improve(self, states: Array, arms: Collection[int]) -> None:
+        """Change the plans of arms with states (b, 2 d) where this decreases the predicted cost."""
         before, changes = self._predict(states, self._planned, arms), np.zeros_like(self._planned)
         for arm, prediction in before.items():
             changes[arm] = self._changes(self._planned[arm], prediction)
-        left = np.array([*before])
+        left = [*before]
         for factor in STEP_FACTORS:
             tried = np.clip(self._planned + factor * changes, -1.0, 1.0)
             after = self._predict(states, tried, left)
             better = [arm for arm in after if after[arm].cost < before[arm].cost]
             self._planned[better] = tried[better]
-            left = np.setdiff1d(left, better)
-            if not len(left):
-                break
+            left = [arm for arm in left if arm not in better]
 
-    def _predict(self, states: Array, planned: Array, arms: IntArray) -> dict[int, _Prediction]:
+    def _predict(self, states: Array, planned: Array, arms: Collection[int]) -> dict[int, _Prediction]:
         """Return arm -> prediction from states (b, 2 d) under planned torques (b, N, n), if it does not diverge."""
+        if not arms:
+            return {}
         if self._batch is None or len(self._batch.rows) != len(states):
             self._batch = self._make_batch(len(states))
         self._batch.reset(np.arange(len(states)), states)
@@ -256,7 +255,7 @@ class MPC:
         drives[..., : len(self.limits)] = planned * self.limits
         motions, outputs = self._batch.roll(drives)
         result = {}
-        for arm in arms[np.isfinite(motions[arms]).all(axis=(1, 2))].tolist():
+        for arm in (arm for arm in arms if np.isfinite(motions[arm]).all()):
             plan, rows = self._plans[arm], self._rows(arm)
             horizon = self._interpolate(plan, motions[arm, self._unit * LINEARISATION_TIME])
             deviations = motions[arm] - plan.states[rows[1:]], outputs[arm] - plan.outputs[rows[1:]]

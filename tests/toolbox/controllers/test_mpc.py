@@ -155,6 +155,21 @@ def test_a_slew_to_a_posture_with_a_far_smaller_inertia_settles():
     assert settling_time(result[0].errors, result[0].band, result[0].period) < 4.0
 
 
+def test_a_plan_whose_prediction_diverges_is_kept():
+    """The other arm plans as usual."""
+    model, limits, posture = posed()
+    controller = mpc.MPC(model, limits, PERIOD)
+    start = np.tile(posture, (2, 1))
+    controller.reset(np.arange(2), EpisodeInfo(start, start + 0.3, PERIOD), 2)
+    states, planned = np.tile(fm.rest_state(model, posture), (2, 1)), controller._planned.copy()
+    states[0, model.n_dof :] = 1e6
+    assert controller._predict(states, planned, [0, 1]).keys() == {1}
+    controller._improve(states, [0, 1])
+    kept = [np.array_equal(controller._planned[arm], planned[arm]) for arm in (0, 1)]
+    controller._improve(states, [0])
+    assert kept == [True, False] and np.array_equal(controller._planned[0], planned[0])
+
+
 def test_torques_are_planned_once_in_a_time_unit():
     """In the periods between, the torques planned before are applied, whatever the state."""
     model, limits, posture = posed("FlexOne-v0")
@@ -201,7 +216,7 @@ def test_where_it_saturates_its_plan_costs_the_least_of_all_within_the_limits(mo
     planned, least = np.repeat(means.reshape(blocks, n), mpc.MOVE_BLOCKS, axis=0), daqp.solve
     monkeypatch.setattr(daqp, "solve", lambda *given: programs.append(given[:2]) or least(*given))
     state = model.at_rest(posture[None] + np.array([[0.015, -0.015]]))
-    changes = controller._changes(planned, controller._predict(state, planned[None], ONLY)[0])
+    changes = controller._changes(planned, controller._predict(state, planned[None], [0])[0])
     [(curvature, slope)] = programs
     low, high = np.fmax(-1.0 - means, -mpc.MAX_CHANGE), np.fmin(1.0 - means, mpc.MAX_CHANGE)
     root = np.linalg.cholesky(curvature)
@@ -218,12 +233,12 @@ def test_the_predicted_cost_changes_as_that_of_the_quadratic_program(monkeypatch
     controller.reset(ONLY, EpisodeInfo(posture[None], posture[None], PERIOD), 1)
     monkeypatch.setattr(daqp, "solve", lambda *given: programs.append(given[:2]) or least(*given))
     state, planned = fm.rest_state(model, posture + 1e-5)[None], controller._planned
-    before = controller._predict(state, planned, ONLY)[0]
+    before = controller._predict(state, planned, [0])[0]
     changes = controller._changes(planned[0], before)
     [(curvature, slope)], firsts = programs, np.cumsum((0, *mpc.MOVE_BLOCKS[:-1]))
     steps = changes[firsts].ravel()
     expected = 2.0 * slope @ steps + steps @ curvature @ steps
-    after = controller._predict(state, planned + changes, ONLY)[0]
+    after = controller._predict(state, planned + changes, [0])[0]
     assert after.cost - before.cost == pytest.approx(expected, rel=1e-3)
 
 
@@ -236,11 +251,11 @@ def test_changes_are_shortened_until_the_predicted_cost_decreases():
     for amplitude in np.linspace(0.02, 0.6, 30):
         noise = amplitude * np.repeat(random.uniform(-1.0, 1.0, (blocks, 2)), mpc.MOVE_BLOCKS, axis=0)
         planned = np.clip(rest + noise, -0.95, 0.95)
-        before = controller._predict(state, planned, ONLY)[0]
+        before = controller._predict(state, planned, [0])[0]
         changes = controller._changes(planned[0], before)
         controller._planned = planned.copy()
-        controller._improve(state, ONLY)
-        after = controller._predict(state, controller._planned, ONLY)[0]
+        controller._improve(state, [0])
+        after = controller._predict(state, controller._planned, [0])[0]
         applied.append(np.abs(controller._planned - planned).sum() / np.abs(changes).sum())
         assert after.cost < before.cost or applied[-1] == 0.0
     assert {0.0, 1.0} < set(np.round(applied, 6).tolist())
