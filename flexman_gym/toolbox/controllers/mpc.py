@@ -41,12 +41,11 @@ MOVE_BLOCKS = (1, 2, 3, 4, 5, 5, 5, 6, 7, 7, 8, 10)  # time units over which eac
 class _Horizon(NamedTuple):
     """Linear prediction over N control periods, with respect to m = blocks x n changes of planned torques.
 
-    Torque changes are fractions of the limits. The outputs in the cost are tip, tip velocity, motor
-    angles, and motor rates that have a cost, divided by their scales (deviations of unit cost, see `CostWeights`),
-    after each period but the last; the state after the last period has the terminal cost of the infinite-horizon LQR.
+    Torque changes are fractions of the limits. The p outputs in the cost, after each period but the last, are those of
+    `CostWeights.outputs`; the state after the last period has the terminal cost of the infinite-horizon LQR.
 
     Attributes:
-        jacobian: (m, (N - 1) (6 + n) + 2 d) transposed Jacobian of the outputs with respect to the changes.
+        jacobian: (m, (N - 1) p + 2 d) transposed Jacobian of the outputs with respect to the changes.
         curvature: (m, m) Hessian of the cost.
         terminal: (2 d, 2 d) square root of the terminal cost matrix.
     """
@@ -100,7 +99,7 @@ class _Prediction(NamedTuple):
 
     Attributes:
         horizon: linear prediction at the position along the path of the reference.
-        outputs: ((N - 1) (6 + n) + 2 d,) deviations from the reference in the cost.
+        outputs: ((N - 1) p + 2 d,) deviations from the reference in the cost.
         torques: (N, n) deviations of the torques, fractions of the limits.
     """
 
@@ -121,8 +120,8 @@ class MPC:
     simulator predicts the motion of the nonlinear arm under the previous plan. A quadratic program then computes
     changes of the torques, constant over blocks of periods (move blocking), that bring the prediction closest to a
     minimum-jerk slew planned for 1.3 times the torque limits, or to an optimised slew. The effect of the changes is
-    linearised, with Jacobians interpolated along the path. A second prediction shortens changes that do not decrease
-    the cost, such as those about a posture with a far smaller inertia. For a linear arm within its limits, the result
+    linearised, with Jacobians interpolated along the path. Changes that do not decrease the predicted cost are
+    shortened, such as those about a posture with a far smaller inertia. For a linear arm within its limits, the result
     equals the finite-horizon LQR. The predictions are those of the arm without friction; friction is compensated, see
     `FrictionCompensation`.
 

@@ -1,6 +1,7 @@
 """MPC: the LQR where no limit is active, within the limits where one is, and no arm looks at another."""
 
 import sys
+from itertools import count
 
 import gymnasium as gym
 import numpy as np
@@ -213,15 +214,22 @@ def test_where_it_saturates_its_plan_costs_the_least_of_all_within_the_limits(mo
     controller.reset(ONLY, EpisodeInfo(posture[None], posture[None], PERIOD), 1)
     blocks, random = len(mpc.MOVE_BLOCKS), np.random.default_rng(0)
     means = np.where(np.arange(blocks * n) % 3 == 0, 0.0, 0.98 * random.choice([-1.0, 1.0], blocks * n))
-    planned, least = np.repeat(means.reshape(blocks, n), mpc.MOVE_BLOCKS, axis=0), daqp.solve
+    planned = np.repeat(means.reshape(blocks, n), mpc.MOVE_BLOCKS, axis=0)
+    controller._planned[0], least = planned, daqp.solve
     monkeypatch.setattr(daqp, "solve", lambda *given: programs.append(given[:2]) or least(*given))
+    order = (
+        count()
+    )  # of costs that are asked for; the plan is so far from linear that the true costs refuse the changes
+    monkeypatch.setattr(mpc._Prediction, "cost", property(lambda _: next(order)))
     state = model.at_rest(posture[None] + np.array([[0.015, -0.015]]))
-    changes = controller._changes(planned, controller._predict(state, planned[None], [0])[0])
+    action = controller.act({"state": state}, np.zeros((1, n)), np.array([True]))[0]
     [(curvature, slope)] = programs
     low, high = np.fmax(-1.0 - means, -mpc.MAX_CHANGE), np.fmin(1.0 - means, mpc.MAX_CHANGE)
     root = np.linalg.cholesky(curvature)
     best = lsq_linear(root.T, -np.linalg.solve(root, slope), (low, high), method="bvls", tol=1e-14).x
-    assert changes == pytest.approx(np.repeat(best.reshape(blocks, n), mpc.MOVE_BLOCKS, axis=0), abs=1e-6)
+    expected = planned + np.repeat(best.reshape(blocks, n), mpc.MOVE_BLOCKS, axis=0)
+    assert action == pytest.approx(expected[0], abs=1e-6)
+    assert controller._planned[0, :-1] == pytest.approx(expected[1:], abs=1e-6)
     ends = np.abs(means + best) > 1.0 - 1e-9, np.abs(best) > mpc.MAX_CHANGE - 1e-9
     assert ends[0].any() and ends[1].any() and not (ends[0] | ends[1]).all()
 
