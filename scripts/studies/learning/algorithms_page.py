@@ -10,7 +10,7 @@ from flexman_gym.common.formatting import millimetres
 from flexman_gym.common.markdown import markdown_table
 from flexman_gym.evaluation.shares import share_text
 from flexman_gym.metrics.statistics import median_interval
-from studies.learning.algorithms import BUDGETS, ENVIRONMENT, EPISODES, RECIPES, REFERENCES, AlgorithmRow
+from studies.learning.algorithms import BUDGETS, ENVIRONMENT, EPISODES, RECIPES, REFERENCES, STEPS, AlgorithmRow
 from studies.screen import screen
 
 TITLES = {"sac": "SAC", "tqc": "TQC", "crossq": "CrossQ", "ppo": "PPO"}
@@ -23,8 +23,8 @@ intervals (Wilson; bootstrap over episodes and training seeds, with one seed wit
 add torques to the PD and observe the true state, as `lqr-tracking` does; `shaping-flexrrr`, a policy on such a
 controller, and `planned` also have the parameters.
 
-CPU time of one core. Schedules end with the run, after about {last:g} minutes{ends}: earlier policies are on the way,
-and better with schedules that end there."""
+CPU time of one core. A run ends with its schedules, or after {last:g} minutes{ends}. Policies from before the end of
+the schedules are on the way, and better with schedules that end there."""
 
 
 class _Result(NamedTuple):
@@ -120,9 +120,9 @@ def page(rows: Sequence[AlgorithmRow], files: Mapping[str, str]) -> str:
 
 
 def _ends(rows: Sequence[AlgorithmRow]) -> str:
-    """Return the range of the CPU times of the last evaluations; "" without rows."""
-    minutes = sorted(row.cpu / 60.0 for row in rows if row.minutes == BUDGETS[-1] and row.cpu)
-    return f" (here {minutes[0]:.0f} to {minutes[-1]:.0f})" if minutes else ""
+    """Return the range of the steps of the longest runs, in percent of their schedules; "" without rows."""
+    done = sorted(100.0 * row.steps / STEPS[row.algorithm] for row in rows if row.minutes == BUDGETS[-1] and row.steps)
+    return f" (here with {done[0]:.0f} to {done[-1]:.0f} % of the steps of its schedules)" if done else ""
 
 
 def _settling(time: float) -> str:
