@@ -16,6 +16,7 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache, partial
+from multiprocessing import forkserver
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -34,6 +35,7 @@ MAX_SHARES = 1000  # largest number of jobs of an array, the default limit of SL
 TIME_LIMIT = 24 * 60  # min; time limit of a job of an array unless SBATCH_TIMELIMIT is set
 LOGS = "submitit"  # folder for the logs of an array
 POLL_INTERVAL = 0.5  # s; interval at which the jobs of an array are polled
+THREADS = "OMP_NUM_THREADS"  # variable with the number of threads of linear algebra, read when its library is loaded
 OBJECT_STORE_BYTES = 200_000_000  # bytes of shared memory of a local Ray cluster
 
 
@@ -48,6 +50,8 @@ def _run_in_processes(jobs: int, task: Task, cells: Sequence[Any], prepare: Prep
         prepare()
     remaining, deaths, context = dict(enumerate(cells)), 0, multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(["flexman_gym"])
+    with _one_thread():
+        forkserver.ensure_running()
     while remaining:
         with ProcessPoolExecutor(min(jobs, len(remaining)), context, _end_with_parent) as pool:
             numbers = {pool.submit(task, cell): number for number, cell in remaining.items()}
@@ -60,6 +64,21 @@ def _run_in_processes(jobs: int, task: Task, cells: Sequence[Any], prepare: Prep
                 deaths = _count_death(deaths)
             finally:
                 pool.shutdown(cancel_futures=True)
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """Start processes with one thread of linear algebra each, unless the environment gives a number.
+
+    Processes with more threads than cores take several times as long. Ray does the same by itself.
+    """
+    given = THREADS in os.environ
+    os.environ.setdefault(THREADS, "1")
+    try:
+        yield
+    finally:
+        if not given:
+            del os.environ[THREADS]
 
 
 def _run_on_ray(jobs: int, address: str, task: Task, cells: Sequence[Any], prepare: Prepare | None) -> Results:
@@ -127,7 +146,7 @@ def _run_array_job(jobs: int, cluster: str, task: Task, cells: Sequence[Any], pr
         waiting = [first for first in remaining if first not in running][: slots - len(running)]
         if waiting:
             os.environ["PYTHONPATH"] = _python_path()
-            with executor.batch():
+            with _one_thread(), executor.batch():
                 running |= {first: executor.submit(_run_share, prepare, task, remaining[first]) for first in waiting}
         for first in [first for first, job in running.items() if job.done()]:
             try:

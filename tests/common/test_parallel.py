@@ -1,5 +1,6 @@
 """Grid: the same results whoever works its cells off, dead workers and killed grids included."""
 
+import ast
 import os
 import pickle
 import signal
@@ -105,6 +106,25 @@ def test_a_killed_grid_leaves_no_process_and_goes_on_where_it_was(tmp_path):
     )
     assert done.read_text().split() == ["4", "5"]
     assert bits(results) == bits(cells.waves((seed, 5)) for seed in range(6))
+
+
+WORKERS = """import os
+from oracles import cells
+from flexman_gym.common.parallel import parallel_map
+if __name__ == "__main__":
+    before = dict(os.environ)
+    print((parallel_map(cells.threads, [1, 2], 2), dict(os.environ) == before))"""
+
+
+@pytest.mark.parametrize("given", [None, "2"])
+def test_each_worker_has_one_thread_of_linear_algebra_unless_the_environment_gives_a_number(given, tmp_path):
+    (tmp_path / "study.py").write_text(WORKERS)
+    own = {name: value for name, value in os.environ.items() if name not in {"OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"}}
+    own |= {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))} | ({"OMP_NUM_THREADS": given} if given else {})
+    run = subprocess.run([sys.executable, "study.py"], env=own, capture_output=True, text=True, check=True)
+    workers, unchanged = ast.literal_eval(run.stdout)
+    assert {number for number, _ in workers} == {given or "1"} and unchanged
+    assert given or {others for _, others in workers} == {0}, "threads beyond those of Python"
 
 
 def test_what_other_sources_gave_is_not_kept(tmp_path, monkeypatch):

@@ -2,6 +2,7 @@
 
 import os
 import signal
+import threading
 import time
 from pathlib import Path
 
@@ -57,3 +58,8 @@ def refusing(cell):
 def deadly(cell):
     """End the process."""
     os.kill(os.getpid(), signal.SIGKILL)
+
+
+def threads(cell):
+    """Return the number of threads that the environment gives, and that of the process beyond those of Python."""
+    return os.environ.get("OMP_NUM_THREADS"), len(os.listdir("/proc/self/task")) - threading.active_count()
