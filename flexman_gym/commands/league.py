@@ -33,7 +33,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--agents", nargs="+", metavar="AGENT",
         help="folders of runs, Python files with a controller, or names of controllers and policies (default: all of "
-        "flexman list, zero and random)",
+        "flexman list, zero and random; in sweeps and with other physics those of the page)",
     )  # fmt: skip
     parser.add_argument(
         "--scenarios", nargs="+",
@@ -76,7 +76,7 @@ def _run(options: argparse.Namespace) -> int:
     from flexman_gym.toolbox.league.details import league_details
     from flexman_gym.toolbox.league.page import PAGE, write_page
     from flexman_gym.toolbox.league.rows import LeagueRows, run_league
-    from flexman_gym.toolbox.league.standings import Standings
+    from flexman_gym.toolbox.league.standings import SWEPT_AGENTS, Standings
 
     workers = Workers.of(options)
     for name, minimum in (("episodes", 1), ("seed", 0)):
@@ -85,7 +85,8 @@ def _run(options: argparse.Namespace) -> int:
             options.parser.error(f"--{name}: {given} is not allowed; give a whole number >= {minimum}")
     if options.agent:
         return _certify(options, workers)
-    agents = [agent_name(each) for each in options.add or options.agents or AGENTS]
+    usual = SWEPT_AGENTS if options.sweep or options.physical else AGENTS
+    agents = [agent_name(each) for each in options.add or options.agents or usual]
     folder = options.folder or DEFAULT_FOLDER
     results = LeagueRows.load(folder)
     if (options.redraw or options.details) and not results.cells:

@@ -25,11 +25,12 @@ from flexman_gym.envs.config.settings import SETTINGS
 from flexman_gym.envs.registration import CONDITIONS
 from flexman_gym.envs.sensors import SENSOR_NAMES
 from flexman_gym.evaluation.agent_spec import AgentSpec
+from flexman_gym.evaluation.trained_agents import AGENTS
 from flexman_gym.toolbox.diagnosis.diagnosis import REMEDIES, RINGING, TRAINING_REMEDIES, Diagnosis, diagnose
 from flexman_gym.toolbox.league import certificate, page, rows
 from flexman_gym.toolbox.league.rows import EpisodeBlock, LeagueRows
 from flexman_gym.toolbox.league.scenarios import PLANT_SCENARIOS, USUAL_SCENARIOS
-from flexman_gym.toolbox.league.standings import Standings
+from flexman_gym.toolbox.league.standings import SWEPT_AGENTS, Standings
 
 from oracles.files import REFERENCE, ROOT
 
@@ -320,10 +321,11 @@ def test_a_league_is_redrawn_without_a_run(tmp_path, capsys, monkeypatch):
 
 
 def test_a_league_takes_few_episodes_on_other_plants_and_those_of_others_for_one_more(tmp_path, monkeypatch):
-    runs = {}
+    runs, entrants = {}, []
 
     def run_league(agents, scenarios, seeds, *_):
         runs[len(seeds)] = [*scenarios]
+        entrants[:] = agents
         return LeagueRows()
 
     def found(*options):
@@ -336,7 +338,9 @@ def test_a_league_takes_few_episodes_on_other_plants_and_those_of_others_for_one
     monkeypatch.setattr(page, "write_page", lambda *_: None)
     usual = {100: [each.removesuffix("/nominal") for each in USUAL_SCENARIOS]}
     assert found() == found("--add", "pd") == usual
-    assert found("--physical") == {10: [*PLANT_SCENARIOS]}
+    assert entrants == ["pd"] and found() == usual and entrants == [*AGENTS]
+    assert found("--physical") == {10: [*PLANT_SCENARIOS]} and entrants == [*SWEPT_AGENTS]
+    assert len(found("--sweep", "delay")[100]) == 4 and entrants == [*SWEPT_AGENTS], "those of the page"
     cells = [EpisodeBlock("", "pd", *each) for each in (("a", 9000, 9025), ("a", 9025, 9050), ("b@finer", 9000, 9010))]
     LeagueRows(cells=cells).save(tmp_path)
     assert found("--add", "pd") == {50: ["a"], 10: ["b@finer"]}
