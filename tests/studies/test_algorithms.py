@@ -181,10 +181,10 @@ def test_the_page_names_the_fastest_and_whether_the_intervals_overlap():
     text = algorithms_page.page([*rows, row("planned")], {"algorithms.csv": "a computer"})
     assert "| PPO (1) | 100 % (44 to 100) | 100 % (44 to 100) | 100 % (44 to 100) |" in text
     assert "| `planned` |  |  |  | 100 % (44 to 100), 3.00 s (2.00 to 4.00) |" in text
-    assert "or after 40 minutes. Policies" in " ".join(text.split())
+    assert "or after 40 minutes. Schedules" in " ".join(text.split())
     longest = [row("sac", 1.0, 40.0, steps=0.5 * STEPS["sac"]), row("ppo", 1.0, 40.0, steps=0.75 * STEPS["ppo"])]
     text = algorithms_page.page([*rows, *longest], {"algorithms.csv": "a computer"})
-    assert "after 40 minutes (here with 50 to 75 % of the steps of its schedules). Policies" in " ".join(text.split())
+    assert "after 40 minutes (here 50 to 75 % of its schedules). Schedules" in " ".join(text.split())
     assert algorithms_page.comparison(rows[:3]) == "Not all algorithms have rows yet."
 
 

@@ -18,13 +18,13 @@ QUESTION = "Which algorithm trains the best policy in the same CPU time, and whe
 ANSWER = "**{best}** {references}"
 BODY = """{table}
 
-Slews of the known arm of `{environment}`, episodes {first} to {final}: settled share, median settling time, 95 %
+Slews of `{environment}`, episodes {first} to {final}: settled share, median settling time, 95 %
 intervals (Wilson; bootstrap over episodes and training seeds, with one seed without the spread between runs). Policies
 add torques to the PD and observe the true state, as `lqr-tracking` does; `shaping-flexrrr`, a policy on such a
 controller, and `planned` also have the parameters.
 
-CPU time of one core. A run ends with its schedules, or after {last:g} minutes{ends}. Policies from before the end of
-the schedules are on the way, and better with schedules that end there."""
+CPU time of one core. A run ends with its schedules or after {last:g} minutes{ends}. Schedules that end earlier
+make earlier policies better."""
 
 
 class _Result(NamedTuple):
@@ -122,7 +122,7 @@ def page(rows: Sequence[AlgorithmRow], files: Mapping[str, str]) -> str:
 def _ends(rows: Sequence[AlgorithmRow]) -> str:
     """Return the range of the steps of the longest runs, in percent of their schedules; "" without rows."""
     done = sorted(100.0 * row.steps / STEPS[row.algorithm] for row in rows if row.minutes == BUDGETS[-1] and row.steps)
-    return f" (here with {done[0]:.0f} to {done[-1]:.0f} % of the steps of its schedules)" if done else ""
+    return f" (here {done[0]:.0f} to {done[-1]:.0f} % of its schedules)" if done else ""
 
 
 def _settling(time: float) -> str:
