@@ -217,9 +217,8 @@ def test_where_it_saturates_its_plan_costs_the_least_of_all_within_the_limits(mo
     planned = np.repeat(means.reshape(blocks, n), mpc.MOVE_BLOCKS, axis=0)
     controller._planned[0], least = planned, daqp.solve
     monkeypatch.setattr(daqp, "solve", lambda *given: programs.append(given[:2]) or least(*given))
-    order = (
-        count()
-    )  # of costs that are asked for; the plan is so far from linear that the true costs refuse the changes
+    # the plan is so far from linear that the true costs would refuse the changes
+    order = count()
     monkeypatch.setattr(mpc._Prediction, "cost", property(lambda _: next(order)))
     state = model.at_rest(posture[None] + np.array([[0.015, -0.015]]))
     action = controller.act({"state": state}, np.zeros((1, n)), np.array([True]))[0]
